@@ -1,0 +1,181 @@
+"""What the estimators return: frozen results, each with a status that has human text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+__all__ = ["FramePose", "Motion", "Status", "Trajectory"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+class Status(Enum):
+    """What an estimator says about its own answer. `status.text` is a sentence for people."""
+
+    OK = "ok"
+    FIRST = "first frame"
+    TOO_FEW_MATCHES = "too few matches"
+    SCALE_NOT_OBSERVABLE = "scale not observable"
+    TURN_NOT_OBSERVABLE = "turn not observable"
+    NO_MOTION = "no motion"
+    NOT_CONVERGED = "not converged"
+    NOT_CONSISTENT = "no consistent motion"
+
+    @property
+    def text(self) -> str:
+        """One sentence that says what the status means."""
+        return _TEXTS[self]
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether a result of this status carries an answer that may be used."""
+        return self in _WITH_POSE
+
+
+_TEXTS = {
+    Status.OK: "All six degrees of freedom were found.",
+    Status.FIRST: "The first frame with the object: the pose that all others are relative to.",
+    Status.TOO_FEW_MATCHES: "Too few matches on the object in all cameras together.",
+    Status.SCALE_NOT_OBSERVABLE: "The turn and the translation's direction were found; how far it moved cannot be seen "
+    "(one camera, or a translation without a turn).",
+    Status.TURN_NOT_OBSERVABLE: "A part of the turn cannot be seen from these cameras.",
+    Status.NO_MOTION: "The object did not move measurably: its matches stand still in every camera.",
+    Status.NOT_CONVERGED: "The solver did not settle within its bound of iterations.",
+    Status.NOT_CONSISTENT: "No single rigid motion explains enough of the matches.",
+}
+_WITH_POSE = {Status.OK, Status.FIRST, Status.SCALE_NOT_OBSERVABLE, Status.NO_MOTION}
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The object's motion between two frames, with how well it is known.
+
+    Attributes:
+        status: see `Status`; when `not status.has_pose`, `motion` is None.
+        motion: world points on the object at frame i -> at frame j, X_j = R X_i + t.
+        center: (3,) the object's centre at frame i, world; `information` refers to its displacement.
+        information: (6, 6) of (w, d): R = exp(w) R̂, d the displacement of `center` (docs/conventions.md).
+        covariance: (6, 6) its inverse; infinite variance along directions that are not observable.
+        inliers: per camera a mask over its matches.
+        residuals: (C,) per camera the rms epipolar residual of its inliers, pixels; NaN without inliers.
+        method: the estimator that was used.
+        iterations: of the solver.
+    """
+
+    status: Status
+    motion: RigidTransform | None
+    center: FloatArray
+    information: FloatArray
+    covariance: FloatArray
+    inliers: tuple[BoolArray, ...]
+    residuals: FloatArray
+    method: str
+    iterations: int
+
+    @property
+    def n_inliers(self) -> NDArray[np.int64]:
+        """(C,) number of inliers per camera."""
+        return np.array([int(mask.sum()) for mask in self.inliers], dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class FramePose:
+    """The object's pose in one frame.
+
+    Attributes:
+        index: frame number in the recording.
+        time: seconds, or the frame number for image folders without time stamps.
+        status: see `Status`; when `not status.has_pose`, `world_from_object` is None.
+        world_from_object: the pose.
+        covariance: (6, 6) of (w, d), docs/conventions.md; zero in the first frame, whose pose is the definition.
+        inliers: (C,) matches used per camera.
+        residuals: (C,) rms residual of the inliers per camera, pixels; NaN without inliers.
+    """
+
+    index: int
+    time: float
+    status: Status
+    world_from_object: RigidTransform | None
+    covariance: FloatArray
+    inliers: NDArray[np.int64]
+    residuals: FloatArray
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(6,) standard deviations: rotation about the world's x, y, z (radians), then position x, y, z."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def pan_tilt_roll(self) -> FloatArray:
+        """(3,) radians, R = R_y(pan) R_x(tilt) R_z(roll) (docs/conventions.md); NaN without a pose."""
+        if self.world_from_object is None:
+            return np.full(3, np.nan)
+        return np.asarray(self.world_from_object.rotation.as_euler("YXZ"))
+
+    @property
+    def position(self) -> FloatArray:
+        """(3,) the object's centre in the world; NaN without a pose."""
+        if self.world_from_object is None:
+            return np.full(3, np.nan)
+        return np.asarray(self.world_from_object.translation)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The object's pose in every frame of a recording: a sequence of `FramePose`.
+
+    Attributes:
+        frames: in order of time; frames that could not be solved are there with their status and no pose.
+        camera_names: (C,) what the per-camera columns refer to.
+        unit: the calibration's length unit, or "".
+    """
+
+    frames: tuple[FramePose, ...]
+    camera_names: tuple[str, ...]
+    unit: str = ""
+
+    def __init__(self, frames: Sequence[FramePose], camera_names: Sequence[str], unit: str = "") -> None:
+        object.__setattr__(self, "frames", tuple(frames))
+        object.__setattr__(self, "camera_names", tuple(camera_names))
+        object.__setattr__(self, "unit", unit)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __iter__(self) -> Iterator[FramePose]:
+        return iter(self.frames)
+
+    def __getitem__(self, i: int) -> FramePose:
+        return self.frames[i]
+
+    @property
+    def times(self) -> FloatArray:
+        """(N,) times of all frames."""
+        return np.array([f.time for f in self.frames])
+
+    @property
+    def solved(self) -> BoolArray:
+        """(N,) which frames have a pose."""
+        return np.array([f.world_from_object is not None for f in self.frames], dtype=bool)
+
+    @property
+    def positions(self) -> FloatArray:
+        """(N, 3) the object's centre in the world; NaN rows where there is no pose."""
+        return np.array([f.position for f in self.frames]).reshape(-1, 3)
+
+    @property
+    def turn(self) -> FloatArray:
+        """(N,) angle turned since the first solved frame, radians in [0, pi]; NaN where there is no pose."""
+        poses = [f.world_from_object for f in self.frames]
+        first = next((p for p in poses if p is not None), None)
+        if first is None:
+            return np.full(len(poses), np.nan)
+        back = first.rotation.inv()
+        return np.array([np.nan if p is None else (p.rotation * back).magnitude() for p in poses])

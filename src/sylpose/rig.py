@@ -1,0 +1,201 @@
+"""Cameras and rigs: calibration in memory, projection and undistortion (OpenCV's lens models)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+__all__ = ["Camera", "Rig"]
+
+FloatArray = NDArray[np.float64]
+LensModel = Literal["opencv", "fisheye"]
+
+# Numbers of coefficients that OpenCV's standard model takes; its fisheye model takes exactly 4.
+OPENCV_TERMS = (4, 5, 8, 12, 14)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """One calibrated, static camera.
+
+    Attributes:
+        name: unique within its rig.
+        size: (width, height) in pixels.
+        matrix: (3, 3) intrinsic matrix, pixels.
+        distortion: (4 | 5 | 8 | 12 | 14,) OpenCV coefficients, or (4,) for `lens="fisheye"`; empty means none.
+        camera_from_world: pose of the world in the camera, X_c = R X_w + t.
+        lens: OpenCV's standard model or its fisheye model.
+
+    Raises:
+        ValueError: naming the camera, for a size, matrix or distortion of the wrong shape, not finite or not possible.
+    """
+
+    name: str
+    size: tuple[int, int]
+    matrix: FloatArray
+    distortion: FloatArray
+    camera_from_world: RigidTransform
+    lens: LensModel = "opencv"
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.matrix, dtype=float)
+        distortion = np.array(self.distortion, dtype=float).ravel()
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+            raise ValueError(f"camera {self.name}: the matrix must be 3x3 and finite")
+        if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or not np.allclose(matrix[2], [0, 0, 1]):
+            raise ValueError(
+                f"camera {self.name}: the matrix must have positive focal lengths and (0, 0, 1) as last row"
+            )
+        if len(self.size) != 2 or min(self.size) <= 0:
+            raise ValueError(f"camera {self.name}: the size must be (width, height) in pixels, got {self.size}")
+        if self.lens not in ("opencv", "fisheye"):
+            raise ValueError(f"camera {self.name}: lens must be 'opencv' or 'fisheye', got {self.lens!r}")
+        allowed = OPENCV_TERMS if self.lens == "opencv" else (4,)
+        if distortion.size == 0:
+            distortion = np.zeros(5 if self.lens == "opencv" else 4)
+        if distortion.size not in allowed:
+            raise ValueError(
+                f"camera {self.name}: {distortion.size} distortion terms; the {self.lens} model takes {allowed}"
+            )
+        if not np.isfinite(distortion).all():
+            raise ValueError(f"camera {self.name}: the distortion has values that are not finite")
+        if not self.camera_from_world.single:
+            raise ValueError(f"camera {self.name}: camera_from_world must be a single transform")
+        if not np.isfinite(self.camera_from_world.as_matrix()).all():
+            raise ValueError(f"camera {self.name}: camera_from_world has values that are not finite")
+        matrix.setflags(write=False)
+        distortion.setflags(write=False)
+        object.__setattr__(self, "matrix", matrix)
+        object.__setattr__(self, "distortion", distortion)
+        object.__setattr__(self, "size", (int(self.size[0]), int(self.size[1])))
+
+    @property
+    def focal(self) -> float:
+        """Geometric mean of the two focal lengths, pixels: what turns normalised units into pixels."""
+        return float(np.sqrt(self.matrix[0, 0] * self.matrix[1, 1]))
+
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3) rotation matrix Q of camera_from_world."""
+        return np.asarray(self.camera_from_world.rotation.as_matrix())
+
+    @property
+    def center(self) -> FloatArray:
+        """(3,) the camera's centre in the world, o = -Q'q."""
+        return np.asarray(self.camera_from_world.inv().translation)
+
+    @property
+    def direction(self) -> FloatArray:
+        """(3,) unit vector, the optical axis in the world."""
+        return self.rotation[2]
+
+    def normalize(self, pixels: ArrayLike) -> FloatArray:
+        """Undistort: pixels (n, 2) of the image as recorded -> normalised points (n, 2) on the plane z = 1."""
+        points = np.asarray(pixels, dtype=float).reshape(-1, 1, 2)
+        if points.size == 0:
+            return np.empty((0, 2))
+        if self.lens == "fisheye":
+            out = cv2.fisheye.undistortPoints(points, self.matrix, self.distortion)
+        else:
+            # OpenCV's default of 5 fixed-point steps leaves some hundredths of a pixel at the rim of wide lenses.
+            criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+            out = cv2.undistortPointsIter(points, self.matrix, self.distortion, None, None, criteria)
+        return np.asarray(out, dtype=float).reshape(-1, 2)
+
+    def project(self, points: ArrayLike) -> FloatArray:
+        """World points (n, 3) -> pixels (n, 2), lens included; NaN for points not in front of the camera."""
+        points_c = np.asarray(points, dtype=float).reshape(-1, 3) @ self.rotation.T + self.camera_from_world.translation
+        pixels = np.full((len(points_c), 2), np.nan)
+        front = points_c[:, 2] > 1e-9
+        if not front.any():
+            return pixels
+        normalized = points_c[front, :2] / points_c[front, 2:]
+        pixels[front] = self.denormalize(normalized)
+        return pixels
+
+    def denormalize(self, normalized: ArrayLike) -> FloatArray:
+        """Normalised points (n, 2) -> pixels (n, 2) of the image as recorded: the inverse of `normalize`."""
+        points = np.asarray(normalized, dtype=float).reshape(-1, 2)
+        if points.size == 0:
+            return np.empty((0, 2))
+        if self.lens == "fisheye":
+            out = cv2.fisheye.distortPoints(points.reshape(-1, 1, 2), self.matrix, self.distortion)
+        else:
+            homogeneous = np.column_stack([points, np.ones(len(points))])
+            out, _ = cv2.projectPoints(homogeneous, np.zeros(3), np.zeros(3), self.matrix, self.distortion)
+        return np.asarray(out, dtype=float).reshape(-1, 2)
+
+    def rays(self, pixels: ArrayLike) -> FloatArray:
+        """Pixels (n, 2) -> unit directions (n, 3) in the world, from the camera's centre."""
+        normalized = self.normalize(pixels)
+        directions = np.column_stack([normalized, np.ones(len(normalized))]) @ self.rotation
+        return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """All cameras, in a fixed order.
+
+    Args:
+        cameras: at least one, names unique.
+        unit: the calibration's length unit when it says one ("m", "mm"), else "".
+
+    Raises:
+        ValueError: no camera, or two of the same name.
+    """
+
+    cameras: tuple[Camera, ...]
+    unit: str = ""
+    _index: dict[str, int] = field(init=False, repr=False)
+
+    def __init__(self, cameras: Sequence[Camera], unit: str = "") -> None:
+        object.__setattr__(self, "cameras", tuple(cameras))
+        object.__setattr__(self, "unit", unit)
+        object.__setattr__(self, "_index", {camera.name: i for i, camera in enumerate(cameras)})
+        if not cameras:
+            raise ValueError("a rig needs at least one camera")
+        if len(self._index) != len(self.cameras):
+            raise ValueError(f"two cameras of the same name in {', '.join(c.name for c in cameras)}")
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def __iter__(self) -> Iterator[Camera]:
+        return iter(self.cameras)
+
+    def __getitem__(self, name: str) -> Camera:
+        if name not in self._index:
+            raise KeyError(f"no camera {name!r} in the rig ({', '.join(self.names)})")
+        return self.cameras[self._index[name]]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the cameras, in order."""
+        return tuple(camera.name for camera in self.cameras)
+
+    def subset(self, names: Sequence[str]) -> Rig:
+        """The rig of the named cameras, in the order given."""
+        return Rig([self[name] for name in names], self.unit)
+
+
+def nearest_point_to_rays(centers: ArrayLike, directions: ArrayLike) -> FloatArray:
+    """The point with the least sum of squared distances to lines in space.
+
+    Args:
+        centers: (n, 3) a point on each line.
+        directions: (n, 3) unit directions.
+
+    Returns:
+        (3,) the point. With one line, or parallel lines, it is the one of least distance to `centers`' mean.
+    """
+    centers, directions = np.asarray(centers, float), np.asarray(directions, float)
+    projectors = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    base = centers.mean(axis=0)
+    offsets = np.einsum("nij,nj->i", projectors, centers - base)
+    return np.asarray(base + np.linalg.lstsq(projectors.sum(axis=0), offsets, rcond=1e-9)[0])
