@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -18,6 +18,9 @@ LensModel = Literal["opencv", "fisheye"]
 
 # Numbers of coefficients that OpenCV's standard model takes; its fisheye model takes exactly 4.
 OPENCV_TERMS = (4, 5, 8, 12, 14)
+
+# OpenCV 4 takes a stopping criterion under another name than OpenCV 5.
+_undistort: Any = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +96,7 @@ class Camera:
     @property
     def direction(self) -> FloatArray:
         """(3,) unit vector, the optical axis in the world."""
-        return self.rotation[2]
+        return np.asarray(self.rotation[2])
 
     def normalize(self, pixels: ArrayLike) -> FloatArray:
         """Undistort: pixels (n, 2) of the image as recorded -> normalised points (n, 2) on the plane z = 1."""
@@ -105,7 +108,7 @@ class Camera:
         else:
             # OpenCV's default of 5 fixed-point steps leaves some hundredths of a pixel at the rim of wide lenses.
             criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-            out = cv2.undistortPointsIter(points, self.matrix, self.distortion, None, None, criteria)
+            out = _undistort(points, self.matrix, self.distortion, R=None, P=None, criteria=criteria)
         return np.asarray(out, dtype=float).reshape(-1, 2)
 
     def project(self, points: ArrayLike) -> FloatArray:
