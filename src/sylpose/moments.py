@@ -2,7 +2,8 @@
 
 With k = y ⊗ x (the row-major vec of y x') for each match of normalised points x = (x1, x2, 1) in frame i and
 y = (y1, y2, 1) in frame j, the pair moments are M = Σ w k k', symmetric 9x9. They hold the count, the means and all
-second moments, so every estimator from here on costs the same whatever the number of matches. Moments of disjoint sets add.
+second moments, so every estimator from here on costs the same whatever the number of matches. Moments of disjoint
+sets add.
 
 Source: the epipolar cost vec(E)' M vec(E) is classical (e.g. Hartley & Zisserman, section 11.3, A'A); that the same
 numbers carry the second moments that Chen & Schonfeld (2010) need is our observation.
