@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sylpose.rig import Camera
 
-__all__ = ["Matches"]
+__all__ = ["Features", "Matches", "detect", "match_features"]
 
 FloatArray = NDArray[np.float64]
+
+# SIFT looks at a patch of about this many pixels around a keypoint; a crop is padded by it.
+CROP_MARGIN_PX = 24
+MAX_FEATURES = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,3 +55,100 @@ class Matches:
 
     def __len__(self) -> int:
         return len(self.x)
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Keypoints of one image.
+
+    Attributes:
+        pixels: (n, 2) in the image as recorded.
+        normalized: (n, 2) the same points undistorted.
+        descriptors: (n, 128) float32 RootSIFT, unit length.
+    """
+
+    pixels: FloatArray
+    normalized: FloatArray
+    descriptors: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    @classmethod
+    def none(cls) -> Features:
+        """No keypoints: a camera without an image, or whose region is empty."""
+        return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 128), np.float32))
+
+
+def detect(
+    image: NDArray[np.uint8],
+    camera: Camera,
+    mask: NDArray[np.bool_] | None = None,
+    max_features: int = MAX_FEATURES,
+) -> Features:
+    """SIFT keypoints with RootSIFT descriptors.
+
+    Args:
+        image: (h, w, 3) BGR or (h, w) grey.
+        camera: whose lens is taken out.
+        mask: (h, w) True where to look; only its bounding box is computed. None: everywhere.
+        max_features: the strongest are kept.
+
+    Source: Lowe 2004; RootSIFT, Arandjelovic & Zisserman, "Three things everyone should know", CVPR 2012.
+    """
+    top, left, bottom, right = 0, 0, *image.shape[:2]
+    crop_mask = None
+    if mask is not None:
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        if len(rows) == 0:
+            return Features.none()
+        top, bottom = max(rows[0] - CROP_MARGIN_PX, 0), min(rows[-1] + 1 + CROP_MARGIN_PX, bottom)
+        left, right = max(columns[0] - CROP_MARGIN_PX, 0), min(columns[-1] + 1 + CROP_MARGIN_PX, right)
+        crop_mask = mask[top:bottom, left:right].astype(np.uint8) * 255
+    crop = image[top:bottom, left:right]
+    grey = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY) if crop.ndim == 3 else np.ascontiguousarray(crop)
+    # A lower contrast threshold than Lowe's 0.04: on plain objects there is little else to go by, and what is not the
+    # object's motion is rejected later.
+    sift = cv2.SIFT_create(nfeatures=max_features, contrastThreshold=0.02)
+    keypoints, descriptors = sift.detectAndCompute(grey, crop_mask)
+    if descriptors is None or len(keypoints) == 0:
+        return Features.none()
+    pixels = cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + np.array([left, top])
+    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
+    return Features(pixels, camera.normalize(pixels), root.astype(np.float32))
+
+
+def match_features(a: Features, b: Features, ratio: float = 0.8, max_shift_px: float = np.inf) -> NDArray[np.int64]:
+    """Mutual nearest neighbours that pass the ratio test in both directions.
+
+    Args:
+        a, b: features of the same camera in two frames.
+        ratio: largest ratio of the distances to the best and the second best.
+        max_shift_px: matches displaced by more are dropped.
+
+    Returns:
+        (m, 2) indices into a and b. Keypoints that SIFT gives several orientations count once.
+    """
+    if len(a) < 2 or len(b) < 2:
+        return np.empty((0, 2), np.int64)
+    # Unit vectors: |u - v|^2 = 2 - 2 u.v, so one matrix product gives all distances.
+    similarity = a.descriptors @ b.descriptors.T
+    forward = _best_with_ratio(similarity, ratio)
+    backward = _best_with_ratio(similarity.T, ratio)
+    i = np.flatnonzero((forward >= 0) & (backward[np.maximum(forward, 0)] == np.arange(len(a))))
+    pairs = np.column_stack([i, forward[i]])
+    shift = np.linalg.norm(a.pixels[pairs[:, 0]] - b.pixels[pairs[:, 1]], axis=1)
+    pairs = pairs[shift <= max_shift_px]
+    places = np.round(np.concatenate([a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]]], axis=1), 1)
+    _, first = np.unique(places, axis=0, return_index=True)
+    return np.asarray(pairs[np.sort(first)])
+
+
+def _best_with_ratio(similarity: NDArray[np.float32], ratio: float) -> NDArray[np.int64]:
+    """(n,) index of the most similar column of each row, -1 where the second is too close."""
+    top = np.argpartition(-similarity, 1, axis=1)[:, :2]
+    value = np.take_along_axis(similarity, top, axis=1)
+    order = np.argsort(-value, axis=1, kind="stable")
+    top, value = np.take_along_axis(top, order, axis=1), np.take_along_axis(value, order, axis=1)
+    distance = np.sqrt(np.maximum(2.0 - 2.0 * value, 0.0))
+    return np.where(distance[:, 0] <= ratio * distance[:, 1], top[:, 0], -1)

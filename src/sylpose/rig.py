@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-__all__ = ["Camera", "Rig"]
+__all__ = ["Camera", "Rig", "nearest_point_to_rays"]
 
 FloatArray = NDArray[np.float64]
 LensModel = Literal["opencv", "fisheye"]
@@ -187,18 +187,26 @@ class Rig:
         return Rig([self[name] for name in names], self.unit)
 
 
-def nearest_point_to_rays(centers: ArrayLike, directions: ArrayLike) -> FloatArray:
+def nearest_point_to_rays(centers: ArrayLike, directions: ArrayLike, near: ArrayLike | None = None) -> FloatArray:
     """The point with the least sum of squared distances to lines in space.
 
     Args:
         centers: (n, 3) a point on each line.
         directions: (n, 3) unit directions.
+        near: (3,) where lines leave the point open (one line, or lines within about 3 degrees of each other), the point
+            of them nearest to this; None: halfway between opposite lines, at distance 1 along others.
 
     Returns:
-        (3,) the point. With one line, or parallel lines, it is the one of least distance to `centers`' mean.
+        (3,) the point.
     """
     centers, directions = np.asarray(centers, float), np.asarray(directions, float)
+    if near is None:
+        near = centers.mean(axis=0)
+        mean = directions.mean(axis=0)
+        if np.linalg.norm(mean) > 0.5:
+            near = near + mean / np.linalg.norm(mean)
+    near = np.asarray(near, float)
     projectors = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    base = centers.mean(axis=0)
-    offsets = np.einsum("nij,nj->i", projectors, centers - base)
-    return np.asarray(base + np.linalg.lstsq(projectors.sum(axis=0), offsets, rcond=1e-9)[0])
+    offsets = np.einsum("nij,nj->i", projectors, centers - near)
+    # Eigenvalues of the sum go down to about (angle / 2)^2 of the largest: 1e-3 cuts at 3 degrees between two lines.
+    return np.asarray(near + np.linalg.pinv(projectors.sum(axis=0), rcond=1e-3, hermitian=True) @ offsets)

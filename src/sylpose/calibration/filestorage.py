@@ -1,0 +1,274 @@
+"""OpenCV's FileStorage, YAML, JSON or XML, in the layouts that people write for several cameras.
+
+OpenCV has no layout of its own for a rig. Understood are a node per camera (or a map or a sequence `cameras`), each with
+
+- `camera_matrix` 3x3,
+- `distortion_coefficients`,
+- `image_width` and `image_height`, or `image_size` (width, height),
+- `R` (3x3, or a rotation vector) and `T`: the pose camera_from_world, as of cv2.solvePnP and cv2.stereoCalibrate; or
+  `camera_from_world` or `world_from_camera`, 3x4 or 4x4,
+- if the lens is not of OpenCV's standard model: `fisheye: 1` or `distortion_model: fisheye`,
+
+or the usual other names of these (`_NAMES` below), and Multical's `calibration.json`, which keeps its `camera_poses` apart.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.calibration.build import make_camera, make_pose, make_rig
+from sylpose.rig import Camera, LensModel, Rig
+
+__all__ = ["decode", "is_calibration", "read", "to_text"]
+
+_NAMES = {
+    "matrix": ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "intrinsics", "intrinsic", "matrix", "mtx"),
+    "distortion": (
+        *("distortion_coefficients", "distCoeffs", "dist_coeffs", "distortion_coeffs", "distortion_vector"),
+        *("distortion", "distortions", "dist", "D"),
+    ),
+    "size": ("image_size", "imageSize", "size", "resolution", "img_size"),
+    "width": ("image_width", "imageWidth", "width", "img_width"),
+    "height": ("image_height", "imageHeight", "height", "img_height"),
+    "rotation": ("R", "rotation", "rotation_matrix", "rvec", "rotation_vector"),
+    "translation": ("T", "t", "translation", "translation_vector", "tvec"),
+    "camera_from_world": ("camera_from_world", "extrinsics", "extrinsic", "extrinsic_matrix"),
+    "world_from_camera": ("world_from_camera",),
+    "name": ("name", "camera_name"),
+}
+# What tells a camera's node from others (a board, say, which has a name and a size as well).
+_TELLING = {n for k in ("matrix", "distortion", "rotation", "translation", "camera_from_world") for n in _NAMES[k]}
+
+_LENS_KEYS = ("lens", "distortion_model", "distortion_type", "camera_model", "model")
+_LENS_NAMES: dict[str, LensModel] = {
+    **dict.fromkeys(
+        ("opencv", "standard", "pinhole", "perspective", "plumb_bob", "radtan", "radial-tangential"), "opencv"
+    ),
+    **dict.fromkeys(("brown", "brown_conrady", "rational", "rational_polynomial", "thin_prism", "tilted"), "opencv"),
+    **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), "fisheye"),
+}
+_FLAGS: dict[str, LensModel] = {
+    **dict.fromkeys(("true", "1", "1.0"), "fisheye"),
+    **dict.fromkeys(("false", "0", "0.0"), "opencv"),
+}
+
+_CONVENTIONS = (
+    "R and T are camera_from_world, X_camera = R X_world + T; the centre of the top-left pixel is (0, 0); "
+    "distortion coefficients in the order of OpenCV"
+)
+
+
+def decode(text: str) -> Any:
+    """The content of a file as dicts, lists, numbers and strings; YAML without its header is taken too.
+
+    Raises:
+        ValueError: with the reason, which the caller completes with the file's name.
+    """
+    text = text.lstrip()
+    if text.startswith("{"):
+        try:
+            return json.loads(text, object_pairs_hook=_unique)
+        except json.JSONDecodeError as error:
+            # OpenCV writes JSON that is none: with comments, and with \' for an apostrophe.
+            return _decode_opencv(text, f"not valid JSON: {error}")
+    if text.startswith("<"):
+        return _decode_opencv(text, "OpenCV cannot read this XML")
+    header = "" if text.startswith("%YAML") else "%YAML:1.0\n" if text.startswith("---") else "%YAML:1.0\n---\n"
+    return _decode_opencv(text, "OpenCV cannot read this YAML; it takes lists in [brackets] only, or use JSON", header)
+
+
+def is_calibration(data: Any) -> bool:
+    """Whether a decoded file has cameras in one of the layouts that `read` takes, or at least one camera's lens."""
+    return isinstance(data, dict) and (
+        "cameras" in data
+        or bool(_TELLING & data.keys())
+        or any(isinstance(node, dict) and _TELLING & node.keys() for node in data.values())
+    )
+
+
+def read(data: dict[str, Any], path: Path) -> Rig:
+    """The rig of a decoded file.
+
+    Raises:
+        ValueError: naming the file, and the camera where there is one.
+    """
+    nodes = _camera_nodes(data, path)
+    if not nodes and _TELLING & data.keys():
+        raise ValueError(f"{path}: holds a single lens; needed is a node per camera, each with its pose R and T")
+    unit = data.get("unit", "")
+    if not isinstance(unit, str):
+        raise ValueError(f"{path}: unit must be a string, got {unit!r}")
+    return make_rig(path, [_camera(node, name, path) for name, node in nodes], unit)
+
+
+def to_text(rig: Rig, suffix: str) -> str:
+    """The text of a file of that suffix (".yml", ".yaml", ".json" or ".xml"): a sequence `cameras`.
+
+    A sequence and not a node per camera because OpenCV does not take every name as a node's.
+    """
+    storage = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("conventions", _CONVENTIONS)
+    storage.write("unit", rig.unit)
+    storage.startWriteStruct("cameras", cv2.FILE_NODE_SEQ)
+    for camera in rig:
+        pose = camera.camera_from_world.as_matrix()
+        storage.startWriteStruct("", cv2.FILE_NODE_MAP)
+        storage.write("name", camera.name)
+        storage.write("image_width", camera.size[0])
+        storage.write("image_height", camera.size[1])
+        storage.write("lens", camera.lens)
+        storage.write("camera_matrix", np.array(camera.matrix))
+        storage.write("distortion_coefficients", camera.distortion.reshape(1, -1).copy())
+        storage.write("R", pose[:3, :3].copy())
+        storage.write("T", pose[:3, 3:].copy())
+        storage.endWriteStruct()
+    storage.endWriteStruct()
+    return str(storage.releaseAndGetString())
+
+
+def _decode_opencv(text: str, failure: str, header: str = "") -> Any:
+    try:
+        storage = cv2.FileStorage(header + text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+    except (cv2.error, SystemError) as error:
+        # The binding wraps OpenCV's error in a SystemError. What is for people in it is "(line): reason", late in its
+        # text, before (OpenCV 4) or in (OpenCV 5) the name of a function.
+        reasons = re.findall(
+            r"\((\d+)\): ([A-Z][^'\n]*?)(?: in function|'|$)", str(error.__cause__ or error), re.MULTILINE
+        )
+        if reasons:
+            line, reason = reasons[-1]
+            failure += f" (line {int(line) - header.count(chr(10))}: {reason})"
+        raise ValueError(failure) from None
+    return _content(storage.root())
+
+
+def _content(node: Any) -> Any:
+    if node.isMap():
+        # Keys that are quoted in a YAML file keep their quotes in OpenCV.
+        keys = node.keys()
+        return _unique([(key.strip("\"'"), _content(node.getNode(key))) for key in keys])
+    if node.isSeq():
+        return [_content(node.at(i)) for i in range(node.size())]
+    if node.isInt() or node.isReal():
+        return node.real()
+    return node.string() if node.isString() else None
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in content:
+            raise ValueError(f"{key!r} is there twice")
+        content[key] = value
+    return content
+
+
+def _camera_nodes(data: dict[str, Any], path: Path) -> list[tuple[str, dict[str, Any]]]:
+    """(name, node) of every camera."""
+    cameras = data.get("cameras", data)
+    if isinstance(cameras, list):
+        nodes = []
+        for i, node in enumerate(cameras):
+            name = _pick(node, "name", f"{path}: cameras[{i}]") if isinstance(node, dict) else None
+            if not isinstance(name, str):
+                raise ValueError(f"{path}: cameras[{i}] must be a map with a key 'name'")
+            nodes.append((name, node))
+    elif isinstance(cameras, dict):
+        # In a map `cameras` everything is a camera; at the top level there may be other maps (metadata, matrices).
+        everything = cameras is not data
+        nodes = [(k, v) for k, v in cameras.items() if isinstance(v, dict) and (everything or _TELLING & v.keys())]
+    else:
+        raise ValueError(f"{path}: 'cameras' must be a map or a sequence")
+    poses = data.get("camera_poses")
+    return [(name, node | _multical_pose(poses, name)) for name, node in nodes] if isinstance(poses, dict) else nodes
+
+
+def _multical_pose(poses: dict[str, Any], name: str) -> dict[str, Any]:
+    # Keys are "cam1" or, with a master camera, "cam1_to_MASTER". Either way the pose takes points of the rig's (the
+    # master's) frame to camera cam1, whatever the key suggests: multical/io/export_calib.py, export_relative.
+    pose = next((value for key, value in poses.items() if key == name or key.startswith(f"{name}_to_")), None)
+    return pose if isinstance(pose, dict) else {}
+
+
+def _camera(node: dict[str, Any], name: str, path: Path) -> Camera:
+    where = f"{path}: camera {name}"
+    size = _pick(node, "size", where)
+    if size is None:
+        size = [_require(node, "width", where), _require(node, "height", where)]
+    return make_camera(
+        path,
+        name,
+        size=np.ravel(size) if isinstance(size, list) else size,
+        matrix=_require(node, "matrix", where),
+        distortion=_require(node, "distortion", where),
+        camera_from_world=_pose(node, name, path),
+        lens=_lens(node, where),
+    )
+
+
+def _pose(node: dict[str, Any], name: str, path: Path) -> RigidTransform:
+    where = f"{path}: camera {name}"
+    given = {key: value for key in ("camera_from_world", "world_from_camera") if (value := _pick(node, key, where))}
+    if not given:
+        return make_pose(path, name, _require(node, "rotation", where), _require(node, "translation", where))
+    if len(given) == 2 or _pick(node, "rotation", where) is not None:
+        raise ValueError(f"{where}: its pose is given twice; keep one")
+    key, value = given.popitem()
+    try:
+        matrix = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.shape not in ((3, 4), (4, 4)) or (len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1])):
+        raise ValueError(f"{where}: {key} must be a 3x4 or 4x4 matrix [R t]")
+    pose = make_pose(path, name, matrix[:3, :3], matrix[:3, 3])
+    return pose if key == "camera_from_world" else pose.inv()
+
+
+def _lens(node: dict[str, Any], where: str) -> LensModel:
+    found: set[LensModel] = set()
+    for key in _LENS_KEYS:
+        if (value := node.get(key)) is None:
+            continue
+        model = str(value).lower()
+        if model not in _LENS_NAMES:
+            raise ValueError(f"{where}: {key} {value!r} is not known; known are {', '.join(_LENS_NAMES)}")
+        # A "pinhole" camera with an "equidistant" lens is Kalibr's way to say fisheye.
+        if model != "pinhole":
+            found.add(_LENS_NAMES[model])
+    if (fisheye := node.get("fisheye")) is not None:
+        # true is 1.0 after OpenCV has read it from YAML, and "true" from XML.
+        if str(fisheye).lower() not in _FLAGS:
+            raise ValueError(f"{where}: fisheye must be true or false, got {fisheye!r}")
+        found.add(_FLAGS[str(fisheye).lower()])
+    if len(found) > 1:
+        raise ValueError(f"{where}: the lens is said to be a fisheye and not to be one")
+    return found.pop() if found else "opencv"
+
+
+def _require(node: dict[str, Any], key: str, where: str) -> Any:
+    value = _pick(node, key, where)
+    if value is None:
+        raise ValueError(f"{where}: missing key {_NAMES[key][0]!r} (or {', '.join(_NAMES[key][1:])})")
+    return value
+
+
+def _pick(node: dict[str, Any], key: str, where: str) -> Any:
+    """The value that a camera has under one of the key's names, as plain numbers; None if there is none."""
+    names = [name for name in _NAMES[key] if node.get(name) is not None]
+    if len(names) > 1:
+        raise ValueError(f"{where}: {' and '.join(names)} mean the same; keep one")
+    value = node[names[0]] if names else None
+    if not isinstance(value, dict):
+        return value
+    # OpenCV's own matrices, and ROS's.
+    try:
+        return np.reshape(value["data"], (int(value["rows"]), int(value["cols"]))).tolist()
+    except (KeyError, TypeError, ValueError):
+        raise ValueError(f"{where}: {names[0]} must be a matrix with rows, cols and as much data") from None

@@ -1,0 +1,8 @@
+"""Sessions: the frames of all cameras at one instant, from videos or image folders."""
+
+from sylpose.capture.regions import Box
+from sylpose.capture.session import FrameSet, Session, open_session
+from sylpose.capture.sources import Source
+from sylpose.capture.timeline import Timeline
+
+__all__ = ["Box", "FrameSet", "Session", "Source", "Timeline", "open_session"]

@@ -1,0 +1,210 @@
+"""A session: a recording opened for reading, and its frames."""
+
+from __future__ import annotations
+
+import warnings as python_warnings
+from collections.abc import Callable, Generator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field
+from itertools import zip_longest
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sylpose import calibration as calibrations
+from sylpose.capture.readers import CameraReader, Reading, check_readable
+from sylpose.capture.regions import Box, Masks, check_first_masks, find_masks, load_boxes
+from sylpose.capture.sources import Source, find_sources
+from sylpose.capture.timeline import Timeline, build_timeline, load_timestamps
+from sylpose.rig import Rig
+
+__all__ = ["FrameSet", "Session", "open_session"]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSet:
+    """The images of all cameras at one instant; tuples are in the rig's order.
+
+    Attributes:
+        index: the instant's number in the session.
+        time: seconds: the mean of the cameras' time stamps, else index / rate, else the index itself.
+        times: each camera's own time stamp, seconds; None without one.
+        images: BGR (h, w, 3) as recorded; None for a camera that has no frame at this instant.
+        masks: (h, w), True on the object; None without a mask or an image.
+    """
+
+    index: int
+    time: float
+    times: tuple[float | None, ...]
+    images: tuple[NDArray[np.uint8] | None, ...]
+    masks: tuple[NDArray[np.bool_] | None, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A recording: a rig, and one video or image folder per camera.
+
+    Attributes:
+        path: the session's folder.
+        rig: the calibrated cameras.
+        calibration: the file that the rig was read from.
+        sources: one per camera, in the rig's order.
+        boxes: the object's box in the first frame, by camera; not every camera has one.
+        masks: the folder of masks, or None.
+        timeline: which frame each camera shows at each instant, and when.
+        warnings: sentences about what looks wrong but can be worked with.
+    """
+
+    path: Path
+    rig: Rig
+    calibration: Path
+    sources: tuple[Source, ...]
+    boxes: dict[str, Box]
+    masks: Path | None
+    timeline: Timeline
+    warnings: tuple[str, ...]
+    _masks: tuple[Masks, ...] = field(repr=False)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of instants: from instant 0 to the last at which any camera has a frame."""
+        return len(self.timeline.times)
+
+    @property
+    def rate(self) -> float | None:
+        """Instants per second, or None for images without time stamps."""
+        return self.timeline.rate
+
+    def frames(
+        self,
+        start: int = 0,
+        stop: int | None = None,
+        every: int = 1,
+        on_problem: Callable[[str], None] | None = None,
+    ) -> Generator[FrameSet, None, None]:
+        """The frame sets of instants start, start + every, ... below stop, one at a time.
+
+        One frame set is read ahead, the cameras in parallel threads; nothing else is kept. A camera that has no frame
+        at an instant gives None. When files break off, what can be read is given; after the last frame of the last
+        camera the iteration ends.
+
+        Args:
+            stop: None, or more than `n_frames`, for all.
+            on_problem: called with a sentence for each file that breaks off and each frame that cannot be read, before
+                the frame set concerned is given, in the caller's thread; None for `warnings.warn`.
+
+        Raises:
+            ValueError: a start outside of the session, stop <= start, every < 1; at the call, not at the first frame.
+            OSError, ValueError: while iterating, a video that cannot be opened any more.
+        """
+        if not 0 <= start < self.n_frames:
+            raise ValueError(f"start must be in 0 ... {self.n_frames - 1} (the session's frames), got {start}")
+        if stop is not None and stop <= start:
+            raise ValueError(f"stop must be greater than start ({start}), got {stop}")
+        if every < 1:
+            raise ValueError(f"every must be at least 1, got {every}")
+        instants = range(start, self.n_frames if stop is None else min(stop, self.n_frames), every)
+        return self._read(instants, on_problem or _warn)
+
+    def _read(self, instants: range, on_problem: Callable[[str], None]) -> Generator[FrameSet, None, None]:
+        with ExitStack() as stack:
+            readers = [
+                stack.enter_context(closing(CameraReader(source, masks)))
+                for source, masks in zip(self.sources, self._masks, strict=True)
+            ]
+            pool = stack.enter_context(ThreadPoolExecutor(len(readers), thread_name_prefix="sylpose-capture"))
+
+            def submit(i: int) -> list[Future[Reading]]:
+                row = self.timeline.frames[i].tolist()
+                return [pool.submit(reader.read, k) for reader, k in zip(readers, row, strict=True)]
+
+            last = [
+                int(np.flatnonzero(column >= 0)[-1]) if (column >= 0).any() else -1 for column in self.timeline.frames.T
+            ]
+            pending = submit(instants[0])
+            for i, following in zip_longest(instants, instants[1:]):
+                readings = [future.result() for future in pending]
+                pending = [] if following is None else submit(following)
+                for reading in readings:
+                    for problem in reading.problems:
+                        on_problem(problem)
+                if all(reading.ended or end < i for reading, end in zip(readings, last, strict=True)):
+                    return
+                yield self._frame_set(i, readings)
+
+    def _frame_set(self, i: int, readings: list[Reading]) -> FrameSet:
+        return FrameSet(
+            i,
+            float(self.timeline.times[i]),
+            tuple(None if np.isnan(stamp) else float(stamp) for stamp in self.timeline.stamps[i]),
+            tuple(reading.image for reading in readings),
+            tuple(reading.mask for reading in readings),
+        )
+
+
+def open_session(
+    path: Path | str,
+    *,
+    calibration: Path | None = None,
+    boxes: Path | None = None,
+    masks: Path | None = None,
+    offsets: Mapping[str, int] | None = None,
+) -> Session:
+    """Open a recording: a folder with one video (`cam_0.mp4`) or one folder of images (`cam_0/`) per camera.
+
+    Names are matched to the calibration's cameras, tolerantly where that is unambiguous (`0.avi` is `cam_0`). Frames are
+    used as coded, without the rotation that a file's metadata may ask for; their size must be the calibration's. The
+    folder may also hold the calibration, boxes.toml, masks/ and timestamps.csv, each found without being named.
+
+    Args:
+        path: the session's folder.
+        calibration: the calibration's file, where it is not the only one in the folder.
+        boxes: the file of boxes, instead of boxes.toml in the folder.
+        masks: the folder of masks, instead of masks/ in the folder.
+        offsets: by camera; its frame k is shown at instant k + offset, so a camera that starts late has offset > 0.
+
+    Raises:
+        FileNotFoundError: no such folder or file.
+        ValueError: naming the file or camera that is wrong, and what was expected.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such folder")
+    if not path.is_dir():
+        raise ValueError(f"{path}: a folder with one video or image folder per camera is expected, not a file")
+    calibration = calibrations.find(path) if calibration is None else Path(calibration)
+    rig = calibrations.load(calibration)
+    boxes = None if boxes is None else Path(boxes)
+    masks = None if masks is None else Path(masks)
+    if boxes is None and (path / "boxes.toml").is_file():
+        boxes = path / "boxes.toml"
+    if masks is None and (path / "masks").is_dir():
+        masks = path / "masks"
+
+    sources, warnings = find_sources(path, rig, calibration, not_cameras=[] if masks is None else [masks])
+    for source in sources:
+        check_readable(source)
+    stamps_file = path / "timestamps.csv"
+    stamps = load_timestamps(stamps_file, rig.names) if stamps_file.is_file() else None
+    timeline, timeline_warnings = build_timeline(sources, stamps, offsets)
+    camera_masks, mask_warnings = (
+        (tuple(Masks() for _ in rig), []) if masks is None else find_masks(masks, rig, sources)
+    )
+    check_first_masks(camera_masks, sources, timeline.frames)
+    return Session(
+        path=path,
+        rig=rig,
+        calibration=calibration,
+        sources=sources,
+        boxes={} if boxes is None else load_boxes(boxes, rig),
+        masks=masks,
+        timeline=timeline,
+        warnings=(*warnings, *timeline_warnings, *mask_warnings),
+        _masks=camera_masks,
+    )
+
+
+def _warn(problem: str) -> None:
+    python_warnings.warn(problem, stacklevel=3)

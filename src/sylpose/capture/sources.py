@@ -1,0 +1,186 @@
+"""What a session folder holds: one video or one folder of images per camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import av
+import av.error
+from av.container import InputContainer
+from av.video.stream import VideoStream
+
+from sylpose.capture.images import read_image
+from sylpose.capture.names import image_files, image_numbers, match_names
+from sylpose.rig import Camera, Rig
+
+__all__ = ["Source", "find_sources", "open_video"]
+
+VIDEO_SUFFIXES = frozenset(
+    {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv", ".ogv"}
+)
+# What sylpose writes, or reads as something else than a camera.
+NO_CAMERAS = frozenset({"sylpose", "masks", "overlay"})
+
+
+@dataclass(frozen=True)
+class Source:
+    """The images of one camera.
+
+    Attributes:
+        camera: the camera's name in the calibration.
+        path: the video or the folder.
+        kind: "video" or "images".
+        size: (width, height) in pixels, as coded: rotation metadata of videos and photographs is not applied.
+        n_frames: number of frames, as the video declares it; counted where it declares none.
+        rate: frames per second on average; None for images, and for videos that do not say.
+        files: the images in order; empty for videos.
+        numbers: the numbers in the images' names; None for videos and when the names have no usable numbers.
+    """
+
+    camera: str
+    path: Path
+    kind: Literal["video", "images"]
+    size: tuple[int, int]
+    n_frames: int
+    rate: float | None = None
+    files: tuple[Path, ...] = field(default=(), repr=False)
+    numbers: tuple[int, ...] | None = field(default=None, repr=False)
+
+    def frame_number(self, k: int) -> int:
+        """The number that names the k-th frame: the one in its image's name, k itself without one."""
+        return k if self.numbers is None else self.numbers[k]
+
+
+def find_sources(
+    path: Path, rig: Rig, calibration: Path, not_cameras: Iterable[Path] = ()
+) -> tuple[tuple[Source, ...], list[str]]:
+    """The sources of a session's folder in the rig's order, and what looks wrong with them.
+
+    Args:
+        not_cameras: folders that are something else, such as masks.
+
+    Raises:
+        ValueError: cameras without source and sources without camera (all named), a video that cannot be read,
+            an image size that differs from the calibration's.
+    """
+    others = {folder.resolve() for folder in not_cameras}
+    found = [entry for entry in sorted(path.iterdir()) if _is_source(entry, rig) and entry.resolve() not in others]
+    if not found:
+        raise ValueError(f"{path}: no videos and no folders of images, one per camera, in this folder")
+    by_camera: dict[str, Path] = {}
+    names = {entry: entry.name if entry.is_dir() else entry.stem for entry in found}
+    try:
+        matched = match_names(dict.fromkeys(names.values()), rig.names)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    for entry in found:
+        name = matched.get(names[entry])
+        if name in by_camera:
+            raise ValueError(f"{path}: {by_camera[name].name} and {entry.name} are both for camera {name}")
+        if name is not None:
+            by_camera[name] = entry
+    missing = [name for name in rig.names if name not in by_camera]
+    extra = [entry.name for entry in found if names[entry] not in matched]
+    if missing or extra:
+        wrong = []
+        if missing:
+            wrong.append(f"no video or image folder for camera {', '.join(missing)} of {calibration.name}")
+        if extra:
+            wrong.append(f"no camera in {calibration.name} ({', '.join(rig.names)}) for {', '.join(extra)}")
+        raise ValueError(f"{path}: {'; '.join(wrong)}; found {', '.join(entry.name for entry in found)}")
+
+    warnings: list[str] = []
+    sources = []
+    for camera in rig:
+        entry = by_camera[camera.name]
+        sources.append(_probe_images(entry, camera) if entry.is_dir() else _probe_video(entry, camera, warnings))
+    return tuple(sources), warnings
+
+
+def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
+    """Open a video; the caller closes the container.
+
+    Raises:
+        ValueError: naming a file that is no video, or has lost the part that says what it is.
+    """
+    try:
+        container = av.open(str(path), metadata_errors="replace")
+    except av.error.FFmpegError as error:
+        raise ValueError(f"{path}: cannot be opened as a video ({error.strerror})") from None
+    if not container.streams.video:
+        container.close()
+        raise ValueError(f"{path}: cannot be opened as a video (there is no video stream in it)")
+    stream = container.streams.video[0]
+    # The cameras are decoded in parallel to each other; more threads per camera would each hold frames of their own.
+    stream.codec_context.thread_count = 1
+    return container, stream
+
+
+def _is_source(entry: Path, rig: Rig) -> bool:
+    name = entry.name if entry.is_dir() else entry.stem
+    if entry.name.startswith(".") or (name.lower() in NO_CAMERAS and name not in rig.names):
+        return False
+    if entry.is_dir():
+        # A folder with a trajectory is the output of an earlier run.
+        return not any(entry.glob("trajectory.*")) and bool(image_files(entry))
+    return entry.suffix.lower() in VIDEO_SUFFIXES
+
+
+def _check_size(path: Path, camera: Camera, size: tuple[int, int]) -> None:
+    if size != camera.size:
+        raise ValueError(
+            f"{path}: images of {size[0]}x{size[1]}, but camera {camera.name} "
+            f"is calibrated at {camera.size[0]}x{camera.size[1]}"
+        )
+
+
+def _probe_images(folder: Path, camera: Camera) -> Source:
+    files = image_files(folder)
+    height, width = read_image(files[0]).shape[:2]
+    _check_size(files[0], camera, (width, height))
+    return Source(camera.name, folder, "images", (width, height), len(files), None, tuple(files), image_numbers(files))
+
+
+def _probe_video(path: Path, camera: Camera, warnings: list[str]) -> Source:
+    container, stream = open_video(path)
+    with container:
+        size = (stream.width, stream.height)
+        _check_size(path, camera, size)
+        rate = stream.average_rate or stream.guessed_rate
+        rate_s = float(rate) if rate else None
+        n_frames = _declared_frames(stream)
+    return Source(camera.name, path, "video", size, n_frames or _count_frames(path, rate_s, warnings), rate_s)
+
+
+def _declared_frames(stream: VideoStream) -> int:
+    """Frames that the container declares, less those that its edit list hides (a cut made without encoding anew)."""
+    entries = stream.index_entries
+    hidden = sum(entry.is_discard for entry in entries) if len(entries) == stream.frames else 0
+    return stream.frames - hidden
+
+
+def _count_frames(path: Path, rate: float | None, warnings: list[str]) -> int:
+    """Frames in a container that does not declare their number (Matroska, WebM, MPEG-TS, fragmented MP4)."""
+    n_frames, end = 0, 0.0
+    container, stream = open_video(path)
+    with container:
+        declared = float(stream.duration * stream.time_base) if stream.duration and stream.time_base else 0.0
+        if not declared and len(container.streams) == 1 and container.duration:
+            declared = container.duration / av.time_base
+        try:
+            for packet in container.demux(stream):
+                if packet.size and not packet.is_discard:
+                    n_frames += 1
+                    if packet.pts is not None:
+                        end = max(end, float((packet.pts + (packet.duration or 0)) * packet.time_base))
+        except av.error.FFmpegError as error:
+            warnings.append(f"{path.name} breaks off after {n_frames} frames ({error.strerror}).")
+            return n_frames
+    if end < declared - max(0.1, 2.5 / (rate or 25.0)):
+        warnings.append(
+            f"{path.name} breaks off: {n_frames} frames, {end:.2f} s of the {declared:.2f} s that it declares."
+        )
+    return n_frames

@@ -1,0 +1,148 @@
+"""A solved frame that later ones are matched against, and what is learnt of its features."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.epipolar import TermData
+from sylpose.features import Features, match_features
+from sylpose.rig import Rig
+
+__all__ = ["Pair", "Reference", "learn", "match_pair", "still", "triangulate"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+# A feature displaced by less than this, in pixels, stands still for all that two keypoints can tell.
+STILL_PX = 1.5
+# A feature that stands still where the object's surface moved by this much is background.
+BACKGROUND_PX = 5.0
+# Points are added to the object's cloud when their depth is known to this share of it.
+DEPTH_SHARE = 0.1
+
+
+@dataclass(eq=False)
+class Reference:
+    """One frame: its features, which of them are background, and its pose once it is solved.
+
+    Attributes:
+        index: frame number.
+        features: per camera.
+        background: per camera (n,), features that were found to stand still where the object moved.
+        world_from_object: set when the frame is solved.
+        covariance: (6, 6) of (w, d), docs/conventions.md.
+    """
+
+    index: int
+    features: tuple[Features, ...]
+    background: tuple[BoolArray, ...]
+    world_from_object: RigidTransform = field(default_factory=RigidTransform.identity)
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+
+    @classmethod
+    def new(cls, index: int, features: tuple[Features, ...]) -> Reference:
+        """A frame that is not solved yet."""
+        return cls(index, features, tuple(np.zeros(len(f), bool) for f in features))
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Matches of one camera between a reference and the current frame.
+
+    Attributes:
+        camera: index in the rig.
+        reference: the earlier frame.
+        indices: (n, 2) into the reference's and the current frame's features.
+        pixels_i, pixels_j: (n, 2) as recorded.
+        normalized_i, normalized_j: (n, 2).
+    """
+
+    camera: int
+    reference: Reference
+    indices: NDArray[np.int64]
+    pixels_i: FloatArray
+    pixels_j: FloatArray
+    normalized_i: FloatArray
+    normalized_j: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def subset(self, mask: BoolArray) -> Pair:
+        """The matches where the mask (n,) is True."""
+        return replace(
+            self,
+            indices=self.indices[mask],
+            pixels_i=self.pixels_i[mask],
+            pixels_j=self.pixels_j[mask],
+            normalized_i=self.normalized_i[mask],
+            normalized_j=self.normalized_j[mask],
+        )
+
+    def term(self, rig: Rig, base: Reference | None) -> TermData:
+        """The matches as a term of the motion that starts at `base` (None: at the pair's own reference)."""
+        camera = rig.cameras[self.camera]
+        moved = None
+        if base is not None and base is not self.reference:
+            moved = base.world_from_object * self.reference.world_from_object.inv()
+        ones = np.ones((len(self), 1))
+        x, y = np.hstack([self.normalized_i, ones]), np.hstack([self.normalized_j, ones])
+        return TermData(self.camera, x, y, camera.rotation, camera.center, camera.focal, moved)
+
+
+def match_pair(reference: Reference, current: Reference, camera: int) -> Pair:
+    """Matches of one camera, without the reference's known background (which is passed on to the current frame)."""
+    a, b = reference.features[camera], current.features[camera]
+    indices = match_features(a, b)
+    background = reference.background[camera][indices[:, 0]]
+    standing = np.linalg.norm(a.pixels[indices[:, 0]] - b.pixels[indices[:, 1]], axis=1) < STILL_PX
+    current.background[camera][indices[background & standing, 1]] = True
+    i, j = indices[~background].T
+    return Pair(camera, reference, indices[~background], a.pixels[i], b.pixels[j], a.normalized[i], b.normalized[j])
+
+
+def still(pair: Pair) -> BoolArray:
+    """(n,) matches that stand still in the image."""
+    return np.asarray(np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1) < STILL_PX)
+
+
+def learn(pairs: Sequence[Pair], weights: Sequence[FloatArray], rig: Rig, current: Reference) -> None:
+    """Marks features as background in both frames: outliers that stand still where the object's surface moved."""
+    for pair, w in zip(pairs, weights, strict=True):
+        camera = rig.cameras[pair.camera]
+        reference = pair.reference
+        # Where each point would be now if it were on the object, at the depth of its centre.
+        depth = camera.camera_from_world.apply(reference.world_from_object.translation)[2]
+        points = depth * np.column_stack([pair.normalized_i, np.ones(len(pair))])
+        motion = current.world_from_object * reference.world_from_object.inv()
+        expected = camera.project(motion.apply(camera.camera_from_world.inv().apply(points)))
+        moved = np.linalg.norm(expected - pair.pixels_i, axis=1)
+        background = (w == 0) & still(pair) & (moved > BACKGROUND_PX)
+        reference.background[pair.camera][pair.indices[background, 0]] = True
+        current.background[pair.camera][pair.indices[background, 1]] = True
+
+
+def triangulate(pair: Pair, rig: Rig, current: Reference) -> FloatArray:
+    """The matches' places in the object's frame (m, 3), those whose depth is known well enough.
+
+    Each camera's two views of a moving object are two views of a standing object from a moving camera.
+    """
+    camera = rig.cameras[pair.camera]
+    object_from_world_i, object_from_world_j = (frame.world_from_object.inv() for frame in (pair.reference, current))
+    start, end = object_from_world_i.apply(camera.center), object_from_world_j.apply(camera.center)
+    ones = np.ones((len(pair), 1))
+    u = object_from_world_i.rotation.apply(np.hstack([pair.normalized_i, ones]) @ camera.rotation)
+    v = object_from_world_j.rotation.apply(np.hstack([pair.normalized_j, ones]) @ camera.rotation)
+    # Depths s, t with start + s u nearest to end + t v.
+    across = np.cross(u, v)
+    square = (across**2).sum(axis=1)
+    sine = np.sqrt(square) / (np.linalg.norm(u, axis=1) * np.linalg.norm(v, axis=1))
+    good = sine > 1.0 / (DEPTH_SHARE * camera.focal)  # one pixel over the sine: the relative error of the depth
+    offset = end - start
+    s = np.einsum("ni,ni->n", np.cross(offset, v[good]), across[good]) / square[good]
+    return np.asarray((start + s[:, None] * u[good])[s > 0])

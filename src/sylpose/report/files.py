@@ -1,0 +1,275 @@
+"""Trajectories as files: TUM text, and a CSV with uncertainty, status and per-camera counts."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.results import FramePose, Status, Trajectory
+
+__all__ = ["TrajectoryWriter", "output_folder", "read_trajectory", "read_tum", "write_tum", "writing"]
+
+FloatArray = NDArray[np.float64]
+
+_POSE_COLUMNS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
+_ANGLE_COLUMNS = ("pan_deg", "tilt_deg", "roll_deg")
+_SD_COLUMNS = ("rx_sd_deg", "ry_sd_deg", "rz_sd_deg", "tx_sd", "ty_sd", "tz_sd")
+_COLUMNS = ("index", "time", "status", "unit", *_POSE_COLUMNS, *_ANGLE_COLUMNS, *_SD_COLUMNS)
+_SD_TO_RADIANS = np.array([np.pi / 180] * 3 + [1.0] * 3)
+
+
+@contextmanager
+def writing(path: Path | str) -> Iterator[None]:
+    """Turns any OSError of the block into one with a sentence that names `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from error
+
+
+def output_folder(path: Path | str) -> Path:
+    """The folder, made with its parents when it is not there.
+
+    Raises:
+        OSError: naming the folder, when it is a file or cannot be made.
+    """
+    folder = Path(path)
+    if folder.exists() and not folder.is_dir():
+        raise OSError(f"cannot write into {folder}: it is a file, a folder was expected")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+class TrajectoryWriter:
+    """Writes `trajectory.tum` and `trajectory.csv` frame by frame; what was written survives a crash.
+
+    A context manager. Files of these names in `out_dir` are replaced. Each line goes to the operating system whole and at
+    once. The quaternion's sign is the one nearer to the frame before.
+
+    `trajectory.tum` has the frames with a pose: `time tx ty tz qx qy qz qw`, world_from_object. `trajectory.csv` has all
+    frames: also status, the calibration's length unit, pan, tilt, roll in degrees, the standard deviations (rotation about
+    the world's x, y, z in degrees, then position), and per camera `inliers_NAME` and `residual_px_NAME`. A cell is empty
+    where there is no value; for a standard deviation that means unbounded.
+
+    Args:
+        out_dir: made when it is not there.
+        camera_names: (C,) names for the per-camera columns, in the order of `FramePose.inliers`.
+        unit: the calibration's length unit, or "".
+
+    Raises:
+        OSError: naming the file or folder that cannot be written.
+    """
+
+    def __init__(self, out_dir: Path | str, camera_names: Sequence[str], unit: str = "") -> None:
+        folder = output_folder(out_dir)
+        self.camera_names = tuple(camera_names)
+        self.unit = unit
+        self.tum_path = folder / "trajectory.tum"
+        self.csv_path = folder / "trajectory.csv"
+        self._quaternion: FloatArray | None = None
+        per_camera = [f"inliers_{n}" for n in camera_names] + [f"residual_px_{n}" for n in camera_names]
+        # Without a buffer of its own, a line is with the operating system as soon as `write` returns.
+        with writing(self.tum_path):
+            self._tum = self.tum_path.open("wb", buffering=0)
+        try:
+            with writing(self.csv_path):
+                self._csv = self.csv_path.open("wb", buffering=0)
+            self._put(self._tum, self.tum_path, _tum_header(unit))
+            self._put(self._csv, self.csv_path, _csv_line([*_COLUMNS, *per_camera]))
+        except OSError:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes both files; twice does no harm."""
+        self._tum.close()
+        if hasattr(self, "_csv"):
+            self._csv.close()
+
+    def write(self, pose: FramePose) -> None:
+        """Appends one frame to both files.
+
+        Raises:
+            ValueError: counts or residuals that do not fit the cameras.
+            OSError: naming the file that cannot be written (a full disk).
+        """
+        n = len(self.camera_names)
+        if len(pose.inliers) != n or len(pose.residuals) != n:
+            raise ValueError(
+                f"frame {pose.index}: {len(pose.inliers)} inlier counts and {len(pose.residuals)} residuals for {n} cameras"
+            )
+        quaternion = np.full(4, np.nan)
+        if pose.world_from_object is not None:
+            quaternion = _continued(pose.world_from_object.rotation.as_quat(), self._quaternion)
+            self._quaternion = quaternion
+        cells = [str(pose.index), _exact(pose.time), pose.status.value, self.unit]
+        cells += [_cell(v, 12) for v in (*pose.position, *quaternion)]
+        cells += [_cell(v, 9) for v in np.degrees(pose.pan_tilt_roll)]
+        cells += [_cell(v, 6) for v in pose.sigma / _SD_TO_RADIANS]
+        cells += [str(int(count)) for count in pose.inliers] + [_cell(v, 6) for v in pose.residuals]
+        # The richer file first: with an interrupt in between, the frame is in the file that has everything.
+        self._put(self._csv, self.csv_path, _csv_line(cells))
+        if pose.world_from_object is not None:
+            self._put(self._tum, self.tum_path, _tum_line(pose.time, pose.position, quaternion))
+
+    @staticmethod
+    def _put(file: io.FileIO, path: Path, line: str) -> None:
+        data = line.encode()
+        with writing(path):
+            while data:
+                data = data[file.write(data) :]
+
+
+def read_trajectory(path: Path | str) -> Trajectory:
+    """Reads a `trajectory.csv` of `TrajectoryWriter`; of the covariances only the diagonal is there.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: naming the file and the line, for missing columns or cells that are not what they should be.
+    """
+    path = Path(path)
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        rows = csv.reader(file)
+        header = next(rows, [])
+        missing = [name for name in _COLUMNS if name not in header]
+        names = [name.removeprefix("inliers_") for name in header if name.startswith("inliers_")]
+        missing += [f"residual_px_{name}" for name in names if f"residual_px_{name}" not in header]
+        if missing:
+            raise ValueError(f"{path}: not a trajectory of sylpose, columns missing: {', '.join(missing)}")
+        frames, unit = [], ""
+        for row in rows:
+            if not row:
+                continue
+            try:
+                cells = dict(zip(header, row, strict=True))
+                frames.append(_frame(cells, names))
+            except ValueError as error:
+                raise ValueError(f"{path}, line {rows.line_num}: {error}") from error
+            unit = cells["unit"]
+    return Trajectory(frames, names, unit)
+
+
+def _frame(cells: dict[str, str], names: Sequence[str]) -> FramePose:
+    def numbers(columns: Sequence[str], empty: float) -> FloatArray:
+        return np.array([float(cells[c]) if cells[c] else empty for c in columns])
+
+    pose = numbers(_POSE_COLUMNS, np.nan)
+    world_from_object = None
+    if not np.isnan(pose).all():
+        world_from_object = _transforms(pose[None])[0]
+    sigma = numbers(_SD_COLUMNS, np.inf) * _SD_TO_RADIANS
+    return FramePose(
+        index=int(cells["index"]),
+        time=float(cells["time"]),
+        status=Status(cells["status"]),
+        world_from_object=world_from_object,
+        covariance=np.diag(sigma**2),
+        inliers=np.array([int(cells[f"inliers_{name}"]) for name in names], dtype=np.int64),
+        residuals=numbers([f"residual_px_{name}" for name in names], np.nan),
+    )
+
+
+def write_tum(path: Path | str, times: ArrayLike, world_from_object: RigidTransform, unit: str = "") -> None:
+    """Writes poses as TUM text, `time tx ty tz qx qy qz qw`, quaternions continuous in sign.
+
+    Args:
+        path: replaced when it is there.
+        times: (n,) seconds.
+        world_from_object: n transforms.
+        unit: of the positions, for the comment in the first line.
+
+    Raises:
+        ValueError: not as many times as poses.
+        OSError: naming the file, when it cannot be written.
+    """
+    times = np.asarray(times, dtype=float)
+    poses = world_from_object[None] if world_from_object.single else world_from_object
+    if times.shape != (len(poses),):
+        raise ValueError(f"times have the shape {times.shape} for {len(poses)} poses")
+    lines = [_tum_header(unit)]
+    quaternion: FloatArray | None = None
+    for time, position, q in zip(times, poses.translation, poses.rotation.as_quat(), strict=True):
+        quaternion = _continued(q, quaternion)
+        lines.append(_tum_line(time, position, quaternion))
+    with writing(path):
+        Path(path).write_text("".join(lines), encoding="utf-8")
+
+
+def read_tum(path: Path | str) -> tuple[FloatArray, RigidTransform]:
+    """Reads TUM text: (n,) times and n transforms; n may be 0. Lines that start with # are comments.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: naming the file and the line, when it does not have 8 finite numbers.
+    """
+    path = Path(path)
+    rows = []
+    for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            row = np.array([float(word) for word in line.split()])
+            if row.shape != (8,):
+                raise ValueError(f"expected 'time tx ty tz qx qy qz qw', got {row.size} numbers")
+            _transforms(row[None, 1:])
+        except ValueError as error:
+            raise ValueError(f"{path}, line {number}: {error}") from error
+        rows.append(row)
+    table = np.array(rows).reshape(-1, 8)
+    return table[:, 0], _transforms(table[:, 1:])
+
+
+def _transforms(rows: FloatArray) -> RigidTransform:
+    """(n, 7) of position and quaternion -> n transforms."""
+    if not np.isfinite(rows).all() or (np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1) > 1e-3).any():
+        raise ValueError("a pose needs a finite position and a unit quaternion")
+    return RigidTransform.from_components(rows[:, :3], Rotation.from_quat(rows[:, 3:]))
+
+
+def _continued(quaternion: FloatArray, before: FloatArray | None) -> FloatArray:
+    """The sign nearer to the frame before; at the start the one with w >= 0."""
+    reference = np.array([0.0, 0.0, 0.0, 1.0]) if before is None else before
+    return -quaternion if quaternion @ reference < 0 else quaternion
+
+
+def _tum_header(unit: str) -> str:
+    return f"# time tx ty tz qx qy qz qw : world_from_object, positions in {unit or 'units of the calibration'}\n"
+
+
+def _tum_line(time: float, position: FloatArray, quaternion: FloatArray) -> str:
+    return " ".join([_exact(time), *(_cell(v, 12) for v in (*position, *quaternion))]) + "\n"
+
+
+def _csv_line(cells: Sequence[str]) -> str:
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(cells)
+    return line.getvalue()
+
+
+def _exact(value: float) -> str:
+    """All digits, without an exponent: times may be seconds since 1970 to the microsecond."""
+    return np.format_float_positional(float(value), trim="-")
+
+
+def _cell(value: float, digits: int) -> str:
+    # Adding 0 turns -0 into 0.
+    return f"{float(value) + 0.0:.{digits}g}" if math.isfinite(value) else ""

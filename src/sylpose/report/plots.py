@@ -1,0 +1,247 @@
+"""A trajectory as one picture: angles, position, inliers and residuals over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sylpose.report.files import writing
+from sylpose.results import FramePose, Status, Trajectory
+
+__all__ = ["camera_colors", "new_figure", "plot_trajectory", "save_figure", "summary"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+# Okabe & Ito's colours, which the colour-blind can tell apart. The same axis has the same colour in both upper panels:
+# tilt turns about x, pan about y, roll about z.
+X_COLOR, Y_COLOR, Z_COLOR = "#D55E00", "#009E73", "#0072B2"
+# Paul Tol's "muted" colours, for cameras; another dash from the tenth camera on.
+CAMERA_COLORS = ("#332288", "#CC6677", "#117733", "#DDCC77", "#88CCEE", "#882255", "#44AA99", "#999933", "#AA4499")
+DASHES = ("-", "--", ":", "-.")
+NO_POSE_COLOR, PARTIAL_COLOR = "#BBBBBB", "#F0E442"
+INK = "#333333"
+
+# With more frames than this, markers would run into each other.
+MARKED_FRAMES = 80
+
+
+def camera_colors(n: int) -> list[str]:
+    """n colours for cameras, the same in every picture; they repeat after nine."""
+    return [CAMERA_COLORS[i % len(CAMERA_COLORS)] for i in range(n)]
+
+
+def summary(trajectory: Trajectory) -> str:
+    """One line: frames with a pose, turn and displacement between the first and the last of them, median residual.
+
+    Raises:
+        ValueError: a trajectory without frames.
+    """
+    if not len(trajectory):
+        raise ValueError("the trajectory has no frames")
+    solved = [f for f in trajectory if f.world_from_object is not None]
+    parts = [f"{len(solved)} of {len(trajectory)} frames with a pose"]
+    if solved:
+        turn = trajectory.turn[trajectory.solved][-1]
+        parts.append(f"turned {np.degrees(turn):.1f}° from the first to the last")
+        moved = float(np.linalg.norm(solved[-1].position - solved[0].position))
+        scale, unit = _readable(moved, trajectory.unit)
+        if solved[-1].status is Status.SCALE_NOT_OBSERVABLE:
+            parts.append("how far it moved is not observable")
+        else:
+            parts.append(f"moved {moved * scale:.3g} {unit}")
+    residuals = np.array([f.residuals for f in trajectory]).ravel()
+    residuals = residuals[np.isfinite(residuals) & (residuals > 0)]
+    if residuals.size:
+        parts.append(f"residual {np.median(residuals):.2f} px (median)")
+    return ", ".join(parts)
+
+
+def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
+    """Draws pan, tilt, roll and the total turn, the position since the start, inliers and residuals per camera over time.
+
+    Bands are two standard deviations either way, to first order in the covariance. Frames without a pose are shaded.
+
+    Args:
+        trajectory: of at least one frame.
+        path: of the picture (.png, .pdf, .svg); replaced when it is there.
+
+    Raises:
+        ValueError: a trajectory without frames.
+        OSError: naming the file, when it cannot be written.
+    """
+    title = summary(trajectory)
+    solved = trajectory.solved
+    times = trajectory.times
+    marker = "." if len(trajectory) <= MARKED_FRAMES else ""
+    figure = new_figure(11.5, 11.5)
+    panels: list[Axes] = list(figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": [3, 3, 2, 2]}))
+    figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
+
+    angles, position, inliers, residuals = panels
+    values, sigmas = np.degrees(_unwrapped(trajectory)), np.degrees(_angle_sigmas(trajectory))
+    for k, label, color in (
+        (0, "pan (about y)", Y_COLOR),
+        (1, "tilt (about x)", X_COLOR),
+        (2, "roll (about z)", Z_COLOR),
+    ):
+        _line(angles, times, values[:, k], sigmas[:, k], color, label, marker)
+    angles.plot(times, np.degrees(trajectory.turn), color=INK, linewidth=1.2, linestyle="--", label="total turn")
+    angles.set_ylabel("angle (degrees)")
+
+    start = trajectory.positions[solved][0] if solved.any() else np.full(3, np.nan)
+    moved = trajectory.positions - start
+    scale, unit = _readable(float(np.abs(moved[solved]).max(initial=0)), trajectory.unit)
+    sigmas = np.array([f.sigma[3:] for f in trajectory])
+    for k, label, color in ((0, "x", X_COLOR), (1, "y", Y_COLOR), (2, "z", Z_COLOR)):
+        _line(position, times, scale * moved[:, k], scale * sigmas[:, k], color, label, marker)
+    position.set_ylabel(f"position since the start ({unit})")
+
+    colors = camera_colors(len(trajectory.camera_names))
+    counts = np.array([f.inliers for f in trajectory], dtype=float)
+    errors = np.array([f.residuals for f in trajectory], dtype=float)
+    # The first frame is matched with nothing: its zeros are no measurement.
+    unmatched = np.array([f.status is Status.FIRST for f in trajectory])
+    counts[unmatched], errors[unmatched] = np.nan, np.nan
+    for k, name in enumerate(trajectory.camera_names):
+        dash = DASHES[k // len(CAMERA_COLORS) % len(DASHES)]
+        for panel, values in ((inliers, counts), (residuals, errors)):
+            panel.plot(times, values[:, k], dash, marker=marker, label=name, color=colors[k], linewidth=1.3)
+    inliers.set_ylabel("inliers")
+    residuals.set_ylabel("residual, rms (px)")
+    residuals.set_xlabel("time (s)")
+    if np.array_equal(times, [f.index for f in trajectory]):
+        residuals.set_xlabel("frame")
+        residuals.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+    shading = _shade(panels, trajectory)
+    for panel in panels:
+        _finish(panel)
+    inliers.set_ylim(bottom=0)
+    residuals.set_ylim(bottom=0)
+    pad = 0.01 * (times[-1] - times[0]) or 0.5
+    residuals.set_xlim(times[0] - pad, times[-1] + pad)
+    band = [Patch(color=INK, alpha=0.18, linewidth=0, label="± 2 standard deviations")]
+    handles: list[Line2D | Patch] = [*angles.get_lines(), *band, *shading]
+    _legend(angles, [h for h in handles if not str(h.get_label()).startswith("_")])
+    _legend(position, list(position.get_lines()))
+    _legend(inliers, list(inliers.get_lines()))
+    figure.align_ylabels(panels)
+    save_figure(figure, path)
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of that many inches, drawn by Agg: no window, no global state."""
+    figure = Figure(figsize=(width, height), dpi=110, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path | str) -> None:
+    """Writes the figure in the format that the file's name ends with.
+
+    Raises:
+        ValueError: a format that matplotlib does not know.
+        OSError: naming the file, when it cannot be written.
+    """
+    with writing(path):
+        figure.savefig(path, bbox_inches="tight", pad_inches=0.15)
+
+
+def _readable(length: float, unit: str) -> tuple[float, str]:
+    """Factor and unit to print lengths in: millimetres for short ones when the calibration's unit is the metre."""
+    if unit == "m" and length < 0.1:
+        return 1000.0, "mm"
+    return 1.0, unit or "units"
+
+
+def _line(panel: Axes, x: FloatArray, y: FloatArray, sigma: FloatArray, color: str, label: str, marker: str) -> None:
+    panel.plot(x, y, color=color, label=label, linewidth=1.6, marker=marker)
+    sigma = np.where(np.isfinite(sigma), sigma, np.nan)
+    panel.fill_between(x, y - 2 * sigma, y + 2 * sigma, color=color, alpha=0.18, linewidth=0)
+
+
+def _finish(panel: Axes) -> None:
+    panel.grid(True, color="#DDDDDD", linewidth=0.7)
+    panel.set_axisbelow(True)
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.spines[["left", "bottom"]].set_color("#999999")
+    panel.tick_params(colors=INK)
+    panel.yaxis.label.set_color(INK)
+    panel.xaxis.label.set_color(INK)
+
+
+def _legend(panel: Axes, handles: list[Line2D] | list[Line2D | Patch]) -> None:
+    columns = 1 + (len(handles) - 1) // 12
+    panel.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.005, 1.0), frameon=False, ncols=columns)
+
+
+def _shade(panels: list[Axes], trajectory: Trajectory) -> list[Patch]:
+    """Strips behind the frames that have no pose, and those whose displacement is not known; returns legend entries."""
+    partial = np.array([f.status is Status.SCALE_NOT_OBSERVABLE for f in trajectory])
+    entries = []
+    for frames, color, label in (
+        (~trajectory.solved, NO_POSE_COLOR, "no pose"),
+        (partial, PARTIAL_COLOR, Status.SCALE_NOT_OBSERVABLE.value),
+    ):
+        for start, stop in _strips(trajectory.times, frames):
+            for panel in panels:
+                panel.axvspan(start, stop, color=color, alpha=0.4, linewidth=0, zorder=0)
+        if frames.any():
+            entries.append(Patch(color=color, alpha=0.4, linewidth=0, label=label))
+    return entries
+
+
+def _strips(times: FloatArray, frames: BoolArray) -> Iterator[tuple[float, float]]:
+    """Runs of `frames`, from half a frame before the first to half a frame after the last."""
+    if len(times) == 1:
+        edges = np.array([times[0] - 0.5, times[0] + 0.5])
+    else:
+        middles = (times[1:] + times[:-1]) / 2
+        edges = np.concatenate([[2 * times[0] - middles[0]], middles, [2 * times[-1] - middles[-1]]])
+    change = np.flatnonzero(np.diff(np.concatenate([[False], frames, [False]]).astype(int)))
+    for first, end in zip(change[::2], change[1::2], strict=True):
+        yield float(edges[first]), float(edges[end])
+
+
+def _unwrapped(trajectory: Trajectory) -> FloatArray:
+    """(N, 3) pan, tilt, roll in radians without jumps; NaN rows where there is no pose.
+
+    Of the two triples that give the same rotation, (p, t, r) and (p + pi, pi - t, r + pi), the one nearer to the frame
+    before is taken, so that a turn over the top is a line too.
+    """
+    out = np.array([f.pan_tilt_roll for f in trajectory])
+    before = np.zeros(3)
+    for i in np.flatnonzero(trajectory.solved):
+        row = out[i]
+        candidates = np.array([row, [row[0] + np.pi, np.pi - row[1], row[2] + np.pi]])
+        candidates += 2 * np.pi * np.round((before - candidates) / (2 * np.pi))
+        out[i] = before = candidates[np.argmin(np.abs(candidates - before).sum(axis=1))]
+    return out
+
+
+def _angle_sigmas(trajectory: Trajectory) -> FloatArray:
+    """(N, 3) standard deviations of pan, tilt, roll in radians; NaN where there is none."""
+    return np.array([_angle_sigma(f) for f in trajectory])
+
+
+def _angle_sigma(pose: FramePose) -> FloatArray:
+    """From the covariance of w in R = exp(w) R̂: w = y dpan + R_y x dtilt + R_y R_x z droll, inverted."""
+    covariance = pose.covariance[:3, :3]
+    pan, tilt, _ = pose.pan_tilt_roll
+    if pose.world_from_object is None or not np.isfinite(covariance).all() or abs(np.cos(tilt)) < 1e-3:
+        return np.full(3, np.nan)
+    turn_y, turn_x = Rotation.from_euler("y", pan), Rotation.from_euler("x", tilt)
+    w_from_angles = np.column_stack([[0, 1, 0], turn_y.apply([1, 0, 0]), (turn_y * turn_x).apply([0, 0, 1])])
+    angles_from_w = np.linalg.inv(w_from_angles)
+    return np.asarray(np.sqrt(np.diag(angles_from_w @ covariance @ angles_from_w.T)))

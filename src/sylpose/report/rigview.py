@@ -1,0 +1,319 @@
+"""The rig as a picture, from above and from the side, and as a table: for `sylpose check`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Polygon
+from numpy.typing import ArrayLike, NDArray
+
+from sylpose.report.plots import INK, camera_colors, new_figure, save_figure
+from sylpose.rig import Camera, Rig, nearest_point_to_rays
+
+__all__ = ["CameraView", "describe_rig", "meeting_point", "plot_rig", "view_axes"]
+
+FloatArray = NDArray[np.float64]
+
+PARALLEL = np.radians(2)
+OBJECT_COLOR = "#D55E00"
+OBJECT: dict[str, Any] = {
+    "color": OBJECT_COLOR,
+    "marker": "P",
+    "markersize": 9,
+    "markeredgecolor": "white",
+    "linestyle": "",
+}
+TO_OBJECT: dict[str, Any] = {"color": "#888888", "linewidth": 0.9, "linestyle": ":"}
+BETWEEN: dict[str, Any] = {"color": "#555555", "linewidth": 1.0, "linestyle": "--"}
+HALO: list[patheffects.AbstractPathEffect] = [patheffects.withStroke(linewidth=3, foreground="white")]
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """How one camera stands in its rig: a row of the table that `sylpose check` prints. Angles in degrees.
+
+    Attributes:
+        name: of the camera.
+        size: (width, height) in pixels.
+        field_of_view: (horizontal, vertical) between the middles of the image's edges, lens included.
+        distance: to the centre, in the calibration's unit; NaN without a centre.
+        off_axis: angle between the optical axis and the way to the centre; NaN without a centre.
+        angles: (C,) between its optical axis and those of all cameras, in the rig's order; 0 for itself.
+        baselines: (C,) distances to all cameras, in the calibration's unit.
+    """
+
+    name: str
+    size: tuple[int, int]
+    field_of_view: tuple[float, float]
+    distance: float
+    off_axis: float
+    angles: tuple[float, ...]
+    baselines: tuple[float, ...]
+
+
+def meeting_point(rig: Rig) -> FloatArray | None:
+    """The point (3,) nearest to all optical axes, in world coordinates.
+
+    None when there is no such point to speak of: one camera, axes within 2 degrees of parallel, or a point that is not in
+    front of most cameras.
+    """
+    centers, directions = _centers(rig), _directions(rig)
+    # The second largest singular value is the axes' spread about their common direction.
+    if len(rig) < 2 or np.linalg.svd(directions, compute_uv=False)[1] < np.sqrt(len(rig)) * np.sin(PARALLEL / 2):
+        return None
+    point = nearest_point_to_rays(centers, directions)
+    in_front = ((point - centers) * directions).sum(axis=1) > 0
+    return point if in_front.mean() > 0.5 else None
+
+
+def describe_rig(rig: Rig, center: ArrayLike | None = None) -> list[CameraView]:
+    """One row per camera, in the rig's order.
+
+    Args:
+        rig: the cameras.
+        center: (3,) where the object is in the world; None for `meeting_point`.
+
+    Raises:
+        ValueError: a centre that is not three finite numbers.
+    """
+    point = _center(rig, center)
+    centers, directions = _centers(rig), _directions(rig)
+    rows = []
+    for i, camera in enumerate(rig):
+        distance = off_axis = float("nan")
+        if point is not None:
+            distance = float(np.linalg.norm(point - centers[i]))
+            off_axis = _angle(directions[i], point - centers[i])
+        rows.append(
+            CameraView(
+                name=camera.name,
+                size=camera.size,
+                field_of_view=_field_of_view(camera),
+                distance=distance,
+                off_axis=off_axis,
+                angles=tuple(_angle(directions[i], other) for other in directions),
+                baselines=tuple(float(d) for d in np.linalg.norm(centers - centers[i], axis=1)),
+            )
+        )
+    return rows
+
+
+def view_axes(rig: Rig) -> FloatArray:
+    """(3, 3) rows right, ahead, up: unit vectors in the world for looking at the rig from above.
+
+    The plane right-ahead is the one that fits the cameras' centres and viewing directions best, whatever the world's axes
+    are; up is the side towards which most images have their upper edge; ahead is where the cameras look on average, or
+    where the first one looks when they stand around.
+    """
+    centers, directions = _centers(rig), _directions(rig)
+    ups = np.array([-camera.rotation[1] for camera in rig])
+    offsets = centers - centers.mean(axis=0)
+    spread = np.sqrt((offsets**2).sum(axis=1).mean())
+    turns = directions - directions.mean(axis=0)
+    # What spreads lies in the plane. A ring of cameras that look down has a common part of the directions that does not;
+    # it counts only where the rest says nothing (cameras in a row, side by side), and last the images' own up.
+    scatter = turns.T @ turns + 0.03 * directions.T @ directions - 0.003 * ups.T @ ups
+    if spread > 0:
+        scatter += offsets.T @ offsets / spread**2
+    up = np.linalg.eigh(scatter)[1][:, 0]
+    votes = ups @ up
+    if (np.sign(votes).sum(), votes.sum()) < (0, 0):
+        up = -up
+    for ahead in (directions.mean(axis=0), directions[0], ups[0]):
+        ahead = ahead - (ahead @ up) * up
+        if np.linalg.norm(ahead) > 0.3:
+            break
+    ahead /= np.linalg.norm(ahead)
+    return np.array([np.cross(ahead, up), ahead, up])
+
+
+def plot_rig(rig: Rig, path: Path | str, center: ArrayLike | None = None, radius: float | None = None) -> None:
+    """Draws the rig from above and from the side: fields of view, the object, distances to it and between neighbours.
+
+    Args:
+        rig: the cameras.
+        path: of the picture (.png, .pdf, .svg); replaced when it is there.
+        center: (3,) where the object is in the world; None for `meeting_point`.
+        radius: of the object, in the calibration's unit; None when it is not known.
+
+    Raises:
+        ValueError: a centre that is not three finite numbers, a radius that is not positive.
+        OSError: naming the file, when it cannot be written.
+    """
+    point = _center(rig, center)
+    if radius is not None and not (np.isfinite(radius) and radius > 0):
+        raise ValueError(f"the object's radius must be a positive number, got {radius}")
+    centers = _centers(rig)
+    if point is not None:
+        reach = float(np.median(np.linalg.norm(centers - point, axis=1)))
+    else:
+        reach = 2 * float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()) or 1.0
+    length = 0.3 * reach
+    axes = view_axes(rig)
+    origin = centers.mean(axis=0) if point is None else point
+    corners = np.concatenate([_frustum(camera, length) for camera in rig])
+    shown = (np.concatenate([corners, origin[None]]) - origin) @ axes.T
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    margin = 0.12 * float((high - low).max())
+    low, high = low - margin, high + margin
+
+    width, depth, height = high - low
+    # Both panels have one scale: inches per unit so that together they fill a page.
+    inches = min(8.5 / width, 6.5 / depth, 11.0 / (depth + height))
+    figure = new_figure(max(width * inches, 6.0) + 1.2, (depth + height) * inches + 2.0)
+    above, side = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [depth, height]})
+    unit = rig.unit or "units"
+    distances = None if point is None else np.linalg.norm(centers - point, axis=1)
+    for panel, rows, name in (
+        (above, axes[[0, 1]], "from above"),
+        (side, axes[[0, 2]], "from the side, looking ahead"),
+    ):
+        places = (centers - origin) @ rows.T
+        _draw_cameras(panel, rig, places, rows, origin, length)
+        if point is not None:
+            _draw_object(panel, places, radius)
+        if panel is above:
+            _draw_distances(panel, places, centers, distances)
+        panel.set_aspect("equal")
+        panel.set_title(f"The rig {name}", loc="left", color=INK, fontsize=12, fontweight="bold")
+        panel.grid(True, color="#E4E4E4", linewidth=0.7)
+        panel.set_axisbelow(True)
+        panel.spines[:].set_color("#CCCCCC")
+        panel.tick_params(colors=INK, labelbottom=True)
+    if len(rig) > 1 or point is not None:
+        _draw_legend(figure, unit, point is not None, center is None)
+    above.set_xlim(low[0], high[0])
+    above.set_ylim(low[1], high[1])
+    side.set_ylim(low[2], high[2])
+    above.set_ylabel(f"ahead ({unit})", color=INK)
+    side.set_ylabel(f"up ({unit})", color=INK)
+    side.set_xlabel(f"right ({unit})", color=INK)
+    save_figure(figure, path)
+
+
+def _draw_cameras(
+    panel: Axes, rig: Rig, places: FloatArray, rows: FloatArray, origin: FloatArray, length: float
+) -> None:
+    """Fields of view, viewing directions and names."""
+    middle = places.mean(axis=0)
+    for camera, place, color in zip(rig, places, camera_colors(len(rig)), strict=True):
+        outline = ((_frustum(camera, length) - origin) @ rows.T).astype(np.float32)
+        hull = cv2.convexHull(outline).reshape(-1, 2)
+        panel.add_patch(Polygon(hull, facecolor=color, edgecolor=color, alpha=0.25, linewidth=1.2))
+        arrow = 1.25 * length * rows @ camera.direction
+        if np.linalg.norm(arrow) > 0.2 * length:
+            style = {"arrowstyle": "-|>", "color": color, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0}
+            panel.annotate("", place + arrow, place, arrowprops=style)
+        panel.plot(*place, "o", color=color, markersize=7)
+        # The name stands behind the camera, or away from the others for one that looks along the line of sight.
+        behind = -(rows @ camera.direction)
+        if np.linalg.norm(behind) < 0.3:
+            behind = place - middle if np.linalg.norm(place - middle) > 1e-9 else np.array([0.0, 1.0])
+        shift = 15 * behind / np.linalg.norm(behind)
+        text = panel.annotate(
+            camera.name,
+            place,
+            xytext=(float(shift[0]), float(shift[1])),
+            textcoords="offset points",
+            ha="left" if shift[0] > 6 else "right" if shift[0] < -6 else "center",
+            va="bottom" if shift[1] > 6 else "top" if shift[1] < -6 else "center",
+            color=INK,
+            fontsize=11,
+            fontweight="bold",
+        )
+        text.set_path_effects(HALO)
+
+
+def _draw_object(panel: Axes, places: FloatArray, radius: float | None) -> None:
+    """The object at (0, 0) and lines to it."""
+    for place in places:
+        panel.plot([place[0], 0], [place[1], 0], **TO_OBJECT, zorder=1)
+    if radius is not None:
+        panel.add_patch(Circle((0, 0), radius, facecolor=OBJECT_COLOR, alpha=0.25, edgecolor=OBJECT_COLOR))
+    panel.plot(0, 0, **OBJECT)
+
+
+def _draw_distances(panel: Axes, places: FloatArray, centers: FloatArray, to_object: FloatArray | None) -> None:
+    """Lengths, in space, of the lines to the object and between neighbours."""
+    if to_object is not None:
+        for place, distance in zip(places, to_object, strict=True):
+            _label(panel, 0.42 * place, f"{distance:.3g}", "#666666")
+    for i, j in _neighbours(places):
+        panel.plot(*places[[i, j]].T, **BETWEEN, zorder=1)
+        _label(panel, places[[i, j]].mean(axis=0), f"{np.linalg.norm(centers[i] - centers[j]):.3g}", INK)
+
+
+def _draw_legend(figure: Figure, unit: str, has_object: bool, is_estimate: bool) -> None:
+    lines = [Line2D([], [], **BETWEEN, label=f"between neighbours ({unit})")]
+    if has_object:
+        where = "where the optical axes come nearest" if is_estimate else "object"
+        lines = [Line2D([], [], **OBJECT, label=where), Line2D([], [], **TO_OBJECT, label=f"to it ({unit})"), *lines]
+    # Outside the panels, where any corner may have a camera.
+    figure.legend(handles=lines, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+
+
+def _neighbours(places: FloatArray) -> list[tuple[int, int]]:
+    """Pairs of cameras that follow each other around (0, 0), the object or the cameras' middle; an arc stays open."""
+    n = len(places)
+    if n < 2:
+        return []
+    bearings = np.arctan2(places[:, 1], places[:, 0])
+    order = np.argsort(bearings)
+    gaps = np.mod(np.roll(bearings[order], -1) - bearings[order], 2 * np.pi)
+    pairs = [(int(order[k]), int(order[(k + 1) % n])) for k in range(n)]
+    if n == 2 or gaps.max() > np.radians(100):
+        pairs.pop(int(np.argmax(gaps)))
+    return pairs
+
+
+def _label(panel: Axes, place: FloatArray, words: str, color: str) -> None:
+    text = panel.text(place[0], place[1], words, ha="center", va="center", fontsize=9.5, color=color)
+    text.set_path_effects(HALO)
+
+
+def _frustum(camera: Camera, length: float) -> FloatArray:
+    """(17, 3) the camera's centre and points around its image's edge, `length` away in depth."""
+    w, h = camera.size[0] - 1, camera.size[1] - 1
+    s = np.linspace(0, 1, 5)[:4, None]
+    corners = np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=float)
+    edge = np.concatenate([(1 - s) * a + s * b for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    rays = camera.rays(edge)
+    # A flat end looks like a field of view; at the rim of a very wide lens it would go to infinity.
+    rays = rays / np.maximum(rays @ camera.direction, 0.4)[:, None]
+    return np.asarray(np.concatenate([camera.center[None], camera.center + length * rays]))
+
+
+def _field_of_view(camera: Camera) -> tuple[float, float]:
+    w, h = camera.size[0] - 1, camera.size[1] - 1
+    left, right, top, bottom = camera.rays([[0, h / 2], [w, h / 2], [w / 2, 0], [w / 2, h]])
+    return _angle(left, right), _angle(top, bottom)
+
+
+def _angle(a: FloatArray, b: FloatArray) -> float:
+    """Between two vectors, degrees; exact for small angles too."""
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+
+
+def _centers(rig: Rig) -> FloatArray:
+    return np.array([camera.center for camera in rig])
+
+
+def _directions(rig: Rig) -> FloatArray:
+    return np.array([camera.direction for camera in rig])
+
+
+def _center(rig: Rig, center: ArrayLike | None) -> FloatArray | None:
+    if center is None:
+        return meeting_point(rig)
+    point = np.asarray(center, dtype=float)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise ValueError(f"the object's centre must be three finite numbers, got {center}")
+    return point

@@ -1,0 +1,132 @@
+"""Rigs of cameras that look at a point: rings, arcs and domes.
+
+The world's axes are OpenCV's camera axes (x right, y down, z forward): up is -y, and `cam_0` of a ring stands at -z.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.rig import Camera, Rig
+
+__all__ = ["arc", "camera_at", "dome", "ring"]
+
+FloatArray = NDArray[np.float64]
+
+
+def ring(
+    n: int,
+    radius: float = 1.5,
+    focal: float = 1000.0,
+    size: tuple[int, int] = (1280, 960),
+    *,
+    height: ArrayLike = 0.0,
+    target: ArrayLike = (0.0, 0.0, 0.0),
+    distortion: ArrayLike = (),
+) -> Rig:
+    """`n` cameras evenly on a full horizontal circle around the target. Arguments as in `arc`."""
+    return arc(
+        n, 360.0 / max(n, 1), radius, focal, size, height=height, target=target, distortion=distortion, first=0.0
+    )
+
+
+def arc(
+    n: int,
+    spacing_deg: float,
+    radius: float = 1.5,
+    focal: float = 1000.0,
+    size: tuple[int, int] = (1280, 960),
+    *,
+    height: ArrayLike = 0.0,
+    target: ArrayLike = (0.0, 0.0, 0.0),
+    distortion: ArrayLike = (),
+    first: float | None = None,
+) -> Rig:
+    """`n` cameras on a horizontal circle around the target, neighbours `spacing_deg` apart as seen from it.
+
+    Args:
+        radius: of the circle: the horizontal distance to the target.
+        focal: pixels.
+        size: (width, height) in pixels.
+        height: above the target (towards -y), one for all or (n,) one per camera.
+        target: (3,) the point that all cameras look at.
+        distortion: OpenCV's coefficients, the same for all.
+        first: the angle of cam_0 in degrees, 0 at -z, growing towards +x; None centres the arc on -z.
+
+    Returns:
+        cameras cam_0, cam_1, ...
+
+    Raises:
+        ValueError: fewer than one camera, heights that are neither one nor n, or anything that `Camera` refuses.
+    """
+    heights = np.asarray(height, dtype=float)
+    if n < 1 or heights.shape not in ((), (n,)):
+        raise ValueError(
+            f"a rig of {n} cameras with {heights.size} heights: at least one camera, one height or one each"
+        )
+    start = -spacing_deg * (n - 1) / 2 if first is None else first
+    angles = np.deg2rad(start + spacing_deg * np.arange(n))
+    offsets = np.column_stack([radius * np.sin(angles), np.broadcast_to(-heights, n), -radius * np.cos(angles)])
+    return _looking_at(offsets, target, focal, size, distortion)
+
+
+def dome(
+    n: int,
+    radius: float = 1.5,
+    focal: float = 1000.0,
+    size: tuple[int, int] = (1280, 960),
+    *,
+    lowest_deg: float = 10.0,
+    target: ArrayLike = (0.0, 0.0, 0.0),
+    distortion: ArrayLike = (),
+) -> Rig:
+    """`n` cameras spread evenly (a Fibonacci spiral) over the part of a sphere that is `lowest_deg` or more above the
+    horizon of the target; `radius` is the sphere's. Other arguments, returns and errors as in `arc`.
+    """
+    if n < 1:
+        raise ValueError(f"a rig needs at least one camera, got {n}")
+    bottom = np.sin(np.deg2rad(lowest_deg))
+    up = bottom + (1 - bottom) * (np.arange(n) + 0.5) / n
+    angles = np.pi * (3 - np.sqrt(5)) * np.arange(n)
+    flat = np.sqrt(1 - up**2)
+    offsets = radius * np.column_stack([flat * np.sin(angles), -up, -flat * np.cos(angles)])
+    return _looking_at(offsets, target, focal, size, distortion)
+
+
+def camera_at(
+    name: str,
+    center: ArrayLike,
+    target: ArrayLike,
+    focal: float,
+    size: tuple[int, int],
+    distortion: ArrayLike = (),
+) -> Camera:
+    """A camera at `center` (3,) that looks at `target` (3,), upright (its y axis as near to the world's as can be),
+    with the principal point in the image's middle.
+
+    Raises:
+        ValueError: a centre that is the target, or anything that `Camera` refuses.
+    """
+    center = np.asarray(center, dtype=float)
+    forward = np.asarray(target, dtype=float) - center
+    if not np.linalg.norm(forward) > 0:
+        raise ValueError(f"camera {name}: it stands at the point that it looks at")
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross([0.0, 1.0, 0.0], forward)
+    if np.linalg.norm(right) < 1e-9:  # straight up or down: any roll is as good
+        right = np.array([1.0, 0.0, 0.0])
+    right = right / np.linalg.norm(right)
+    rotation = Rotation.from_matrix(np.stack([right, np.cross(forward, right), forward]))
+    matrix = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+    pose = RigidTransform.from_components(-rotation.apply(center), rotation)
+    return Camera(name, size, matrix, np.asarray(distortion, dtype=float), pose)
+
+
+def _looking_at(
+    offsets: FloatArray, target: ArrayLike, focal: float, size: tuple[int, int], distortion: ArrayLike
+) -> Rig:
+    target = np.asarray(target, dtype=float)
+    cameras = [camera_at(f"cam_{i}", target + o, target, focal, size, distortion) for i, o in enumerate(offsets)]
+    return Rig(cameras, "m")

@@ -1,0 +1,319 @@
+"""The tracker: the object's pose in every frame, each frame against several earlier ones."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.capture import Box, FrameSet
+from sylpose.features import Features, detect
+from sylpose.motion import Fit, fit_terms, object_place
+from sylpose.reference import Pair, Reference, learn, match_pair, still, triangulate
+from sylpose.region import polygon_mask, region_polygon, volume_from_boxes
+from sylpose.results import FramePose, Status
+from sylpose.rig import Camera, Rig
+
+__all__ = ["TrackedFrame", "Tracker", "track"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Regions = Sequence[FloatArray | None]
+
+# Each frame is solved against the frames this many back: near ones match well, far ones stop the drift
+# (docs/method.md, "Drift").
+LAGS = (1, 3, 8, 16)
+# Without boxes nothing is known of the object until it moves: so many frames wait for that, with their images.
+PATIENCE = 10
+# Object points kept to follow the object's region.
+MAX_VOLUME_POINTS = 1500
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFrame:
+    """A frame's pose and what it rests on.
+
+    Attributes:
+        pose: the result.
+        frames: the images it was found in.
+        matches: per camera (previous pixels (n, 2), current pixels (n, 2)) of the inliers against the last solved
+            frame, or None.
+        regions: per camera the outline (k, 2) that was searched, pixels; None for the whole image or none of it.
+        radius: of the object, length units; NaN while unknown.
+    """
+
+    pose: FramePose
+    frames: FrameSet
+    matches: tuple[tuple[FloatArray, FloatArray] | None, ...]
+    regions: tuple[FloatArray | None, ...]
+    radius: float
+
+
+def track(
+    frames: Iterable[FrameSet],
+    rig: Rig,
+    boxes: Mapping[str, Box] | None = None,
+    *,
+    method: str = "epipolar",
+    workers: int | None = None,
+    seed: int = 0,
+) -> Iterator[TrackedFrame]:
+    """The object's pose in every frame, as the frames come: see `Tracker` for the arguments."""
+    with Tracker(rig, boxes, method=method, workers=workers, seed=seed) as tracker:
+        for frame_set in frames:
+            yield from tracker.step(frame_set)
+        yield from tracker.flush()
+
+
+class Tracker:
+    """Follows one rigid object, frame by frame.
+
+    Args:
+        rig: C cameras.
+        boxes: where the object is in the first frame, per camera that sees it, pixels; None: the object is what moves
+            against the standing background.
+        method: of the motion estimate, see `estimate_motion`.
+        workers: threads for detection and matching; None: one per core, at most one per camera.
+        seed: of the outlier rejection.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        boxes: Mapping[str, Box] | None = None,
+        *,
+        method: str = "epipolar",
+        workers: int | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.rig = rig
+        self.method = method
+        self._seed = seed
+        self._pool = ThreadPoolExecutor(workers or min(len(rig), os.cpu_count() or 1))
+        self._solved: deque[Reference] = deque(maxlen=max(LAGS) + 1)
+        self._waiting: list[tuple[Reference, FrameSet]] = []
+        self._velocity = RigidTransform.identity()  # the last motion, per frame number
+        self._lost = 0  # frames since the last solved one
+        self._points = np.empty((0, 3))  # object's frame: the cloud whose image is the object's region
+        self._radius = np.nan
+        self._center: FloatArray | None = None  # of the object in the first frame, world
+        if boxes:
+            self._center, points = volume_from_boxes(rig, boxes)
+            self._points = points - self._center
+            self._radius = float(np.quantile(np.linalg.norm(self._points, axis=1), 0.95))
+
+    def __enter__(self) -> Tracker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the worker threads."""
+        self._pool.shutdown()
+
+    def step(self, frames: FrameSet) -> list[TrackedFrame]:
+        """Take in the next frame.
+
+        Returns:
+            The frames that are now decided, in order: usually this one; none while the object has not moved yet and no
+            boxes tell where it is, then those that waited for it and this one.
+        """
+        predicted = self._predict(frames.index)
+        regions = self._regions(predicted)
+        images = zip(self.rig, frames.images, frames.masks, regions, strict=True)
+        features = tuple(self._pool.map(lambda job: self._detect(*job), images))
+        current = Reference.new(frames.index, features)
+        if self._solved:
+            return [self._follow(current, frames, regions)]
+        if self._center is not None:
+            return [self._first(current, frames, regions)]
+        return self._await_motion(current, frames)
+
+    def flush(self) -> list[TrackedFrame]:
+        """The frames still undecided at the recording's end: the object never moved."""
+        waiting, self._waiting = self._waiting, []
+        return [self._unsolved(frames, Status.NO_MOTION) for _, frames in waiting]
+
+    def _detect(
+        self, camera: Camera, image: NDArray[np.uint8] | None, mask: BoolArray | None, region: FloatArray | None
+    ) -> Features:
+        if image is None:
+            return Features.none()
+        if self._center is None:
+            return detect(image, camera, mask)
+        if region is None:
+            return Features.none()
+        inside = polygon_mask(region, camera.size)
+        return detect(image, camera, inside if mask is None else inside & mask)
+
+    def _predict(self, index: int) -> RigidTransform | None:
+        """The pose that constant velocity gives; the last pose once the object has been lost."""
+        if not self._solved:
+            return None
+        last = self._solved[-1]
+        if self._lost:
+            return last.world_from_object
+        return _power(self._velocity, index - last.index) * last.world_from_object
+
+    def _regions(self, predicted: RigidTransform | None) -> list[FloatArray | None]:
+        """Where to look in each camera: the image of the object's points at the predicted pose, with a margin."""
+        if self._center is None:
+            return [None] * len(self.rig)
+        points = self._points + self._center if predicted is None else predicted.apply(self._points)
+        return [region_polygon(camera, points, growth=0.15 * (1 + self._lost)) for camera in self.rig]
+
+    # --- the start ---------------------------------------------------------------------------------------------------
+
+    def _first(self, current: Reference, frames: FrameSet, regions: Regions) -> TrackedFrame:
+        """The frame whose pose is the definition of the object's frame."""
+        assert self._center is not None
+        current.world_from_object = RigidTransform.from_translation(self._center)
+        self._solved.append(current)
+        return self._result(current, frames, Status.FIRST, regions)
+
+    def _await_motion(self, current: Reference, frames: FrameSet) -> list[TrackedFrame]:
+        """Without boxes: compare with the oldest waiting frame until something moves; that is the object."""
+        if self._waiting:
+            first, first_frames = self._waiting[0]
+            pairs = [pair.subset(~still(pair)) for pair in self._match([first], current)]
+            pairs = [pair for pair in pairs if len(pair.indices)]
+            if pairs:
+                data = [pair.term(self.rig, None) for pair in pairs]
+                fit = fit_terms(data, *object_place(data), [], self._rng())
+                if fit.status is Status.OK:
+                    self._center, self._radius = object_place([p.term(self.rig, None) for p in inliers_of(pairs, fit)])
+                    nobody = [None] * len(self.rig)
+                    decided = [self._first(first, first_frames, nobody)]
+                    for waited, waited_frames in [*self._waiting[1:], (current, frames)]:
+                        decided.append(self._follow(waited, waited_frames, nobody))
+                    self._waiting = []
+                    return decided
+        self._waiting.append((current, frames))
+        if len(self._waiting) <= PATIENCE:
+            return []
+        _, oldest = self._waiting.pop(0)
+        return [self._unsolved(oldest, Status.NO_MOTION)]
+
+    # --- every other frame -------------------------------------------------------------------------------------------
+
+    def _follow(self, current: Reference, frames: FrameSet, regions: Regions) -> TrackedFrame:
+        """Solve the frame against its references, and learn from it what the next one needs."""
+        last = len(self._solved)
+        references = [self._solved[i] for i in sorted({max(last - lag, 0) for lag in LAGS}, reverse=True)]
+        base = references[0]
+        pairs = self._match(references, current)
+        if not pairs:
+            return self._lose(frames, Status.TOO_FEW_MATCHES, regions)
+        data = [pair.term(self.rig, base) for pair in pairs]
+        predicted = self._predict(frames.index)
+        assert predicted is not None
+        center = base.world_from_object.translation
+        guess = predicted * base.world_from_object.inv()
+        guesses = [(guess.rotation.as_matrix(), guess.apply(center) - center)]
+        fit = fit_terms(data, center, self._radius, guesses, self._rng())
+        if not fit.status.has_pose:
+            return self._lose(frames, fit.status, regions)
+        rotation = Rotation.from_matrix(fit.rotation)
+        motion = RigidTransform.from_components(center + fit.shift - rotation.apply(center), rotation)
+        current.world_from_object = motion * base.world_from_object
+        current.covariance = self._covariance(fit, pairs, references, current)
+        learn(pairs, fit.weights, self.rig, current)
+        self._extend_volume(pairs, fit, current)
+        self._velocity = _power(motion, 1.0 / max(current.index - base.index, 1))
+        self._lost = 0
+        self._solved.append(current)
+        return self._result(current, frames, fit.status, regions, pairs, fit)
+
+    def _lose(self, frames: FrameSet, status: Status, regions: Regions) -> TrackedFrame:
+        self._lost += 1
+        return self._unsolved(frames, status, regions)
+
+    def _match(self, references: Sequence[Reference], current: Reference) -> list[Pair]:
+        jobs = [(reference, camera) for reference in references for camera in range(len(self.rig))]
+        pairs = self._pool.map(lambda job: match_pair(job[0], current, job[1]), jobs)
+        return [pair for pair in pairs if len(pair.indices)]
+
+    def _rng(self) -> np.random.Generator:
+        """The same outlier rejection for the same frame, whatever came before: runs can be compared and resumed."""
+        return np.random.default_rng(self._seed)
+
+    def _covariance(
+        self, fit: Fit, pairs: Sequence[Pair], references: Sequence[Reference], current: Reference
+    ) -> FloatArray:
+        """The fit's covariance plus the references' own.
+
+        The references' errors come from common ancestors, so they are taken as fully correlated: then the covariance of
+        their weighted mean is at most the weighted mean of their covariances. The weights are their shares of inliers.
+        """
+        own = np.linalg.pinv(fit.information_with_prior, hermitian=True)
+        count = {id(reference): 0.0 for reference in references}
+        for pair, w in zip(pairs, fit.weights, strict=True):
+            count[id(pair.reference)] += float(w.sum())
+        total = max(sum(count.values()), 1e-12)
+        inherited = np.zeros((6, 6))
+        for reference in references:
+            turn = (current.world_from_object.rotation * reference.world_from_object.rotation.inv()).as_matrix()
+            both = np.kron(np.eye(2), turn)
+            inherited += count[id(reference)] / total * (both @ reference.covariance @ both.T)
+        return np.asarray(own + inherited)
+
+    def _extend_volume(self, pairs: Sequence[Pair], fit: Fit, current: Reference) -> None:
+        """Adds the inliers' places in space to the cloud that the object's region is the image of."""
+        new = [triangulate(pair, self.rig, current) for pair in inliers_of(pairs, fit)]
+        points = np.concatenate([self._points, *new])
+        near = np.linalg.norm(points, axis=1) < 2.0 * self._radius
+        points = points[near]
+        if len(points) > MAX_VOLUME_POINTS:
+            points = points[self._rng().choice(len(points), MAX_VOLUME_POINTS, replace=False)]
+        self._points = points
+
+    # --- results -----------------------------------------------------------------------------------------------------
+
+    def _result(
+        self,
+        current: Reference,
+        frames: FrameSet,
+        status: Status,
+        regions: Regions,
+        pairs: Sequence[Pair] = (),
+        fit: Fit | None = None,
+    ) -> TrackedFrame:
+        n = len(self.rig)
+        counts, squares = np.zeros(n, np.int64), np.zeros(n)
+        shown: list[tuple[FloatArray, FloatArray] | None] = [None] * n
+        if fit is not None:
+            for pair, w, r in zip(pairs, fit.weights, fit.residuals, strict=True):
+                counts[pair.camera] += int((w > 0).sum())
+                squares[pair.camera] += float((r[w > 0] ** 2).sum())
+                if pair.reference is self._solved[-2]:
+                    shown[pair.camera] = (pair.pixels_i[w > 0], pair.pixels_j[w > 0])
+        residuals = np.sqrt(np.divide(squares, counts, out=np.full(n, np.nan), where=counts > 0))
+        pose = FramePose(
+            frames.index, frames.time, status, current.world_from_object, current.covariance, counts, residuals
+        )
+        return TrackedFrame(pose, frames, tuple(shown), tuple(regions), self._radius)
+
+    def _unsolved(self, frames: FrameSet, status: Status, regions: Regions | None = None) -> TrackedFrame:
+        n = len(self.rig)
+        pose = FramePose(
+            frames.index, frames.time, status, None, np.full((6, 6), np.nan), np.zeros(n, np.int64), np.full(n, np.nan)
+        )
+        return TrackedFrame(pose, frames, (None,) * n, tuple(regions or [None] * n), self._radius)
+
+
+def inliers_of(pairs: Sequence[Pair], fit: Fit) -> list[Pair]:
+    """The pairs' inliers, pairs without any left out."""
+    kept = [pair.subset(w > 0) for pair, w in zip(pairs, fit.weights, strict=True)]
+    return [pair for pair in kept if len(pair.indices)]
+
+
+def _power(motion: RigidTransform, exponent: float) -> RigidTransform:
+    """The motion carried on for a fraction or a multiple of its time, along its screw."""
+    return RigidTransform.from_exp_coords(exponent * motion.as_exp_coords())

@@ -1,0 +1,206 @@
+"""Cameras and rigs, against OpenCV and by definition."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.rig import Camera, LensModel, Rig, nearest_point_to_rays
+
+MATRIX = np.array([[800.0, 0, 330], [0, 790, 235], [0, 0, 1]])
+POSE = RigidTransform.from_components([0.1, -0.2, 3.0], Rotation.from_rotvec([0.4, -0.7, 0.3]))
+# Coefficients of every lens model, of the size that real lenses have: the recordings' and a typical tilted sensor.
+LENSES: dict[str, tuple[LensModel, list[float]]] = {
+    "none": ("opencv", []),
+    "4 terms": ("opencv", [-0.34, 0.1, -0.001, 0.003]),
+    "5 terms": ("opencv", [0.19, -0.26, 0.003, -0.005, 0.11]),
+    "8 terms": ("opencv", [0.3, -0.1, 0.001, 0.002, 0.05, 0.5, -0.05, 0.01]),
+    "12 terms": ("opencv", [-0.2, 0.05, 0.001, 0.002, 0.01, 0.02, 0.01, 0.0, 0.002, -0.001, 0.001, 0.002]),
+    "14 terms": ("opencv", [-0.2, 0.05, 0.001, 0.002, 0.01, 0.02, 0.01, 0.0, 0.002, -0.001, 0.001, 0.002, 0.02, -0.01]),
+    "fisheye": ("fisheye", [0.05, -0.01, 0.004, -0.001]),
+}
+
+
+def camera(lens: str = "5 terms", name: str = "cam_0", pose: RigidTransform = POSE) -> Camera:
+    model, distortion = LENSES[lens]
+    return Camera(name, (640, 480), MATRIX, np.array(distortion), pose, model)
+
+
+def points_in_view(cam: Camera, n: int, seed: int = 0) -> NDArray[np.float64]:
+    """(n, 3) world points that project into the image."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(0.5, 5, (n, 1))
+    points_c = np.hstack([rng.uniform(-0.38, 0.38, (n, 1)), rng.uniform(-0.28, 0.28, (n, 1)), np.ones((n, 1))]) * z
+    return np.ascontiguousarray(cam.camera_from_world.inv().apply(points_c))
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_project_is_opencv(lens: str) -> None:
+    cam = camera(lens)
+    points = points_in_view(cam, 50)
+    rvec, tvec = POSE.rotation.as_rotvec(), POSE.translation
+    if cam.lens == "fisheye":
+        expected, _ = cv2.fisheye.projectPoints(points.reshape(-1, 1, 3), rvec, tvec, MATRIX, cam.distortion)
+    else:
+        expected, _ = cv2.projectPoints(points, rvec, tvec, MATRIX, cam.distortion)
+    np.testing.assert_allclose(cam.project(points), expected.reshape(-1, 2), atol=1e-9)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_project_is_written_out(lens: str) -> None:
+    # Without a lens the projection is K (R X + t); with one it must differ.
+    cam = camera(lens)
+    points = points_in_view(cam, 20)
+    points_c = points @ cam.rotation.T + cam.camera_from_world.translation
+    pinhole = (points_c / points_c[:, 2:]) @ MATRIX.T
+    assert np.allclose(cam.project(points), pinhole[:, :2], atol=1e-9) == (lens == "none")
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@settings(max_examples=60, deadline=None)
+@given(u=st.floats(0, 639), v=st.floats(0, 479))
+def test_normalize_and_denormalize_are_inverse(lens: str, u: float, v: float) -> None:
+    cam = camera(lens)
+    pixels = np.array([[u, v]])
+    # OpenCV's fisheye undistortion stops at its own tolerance of 1e-8 in the angle.
+    np.testing.assert_allclose(cam.denormalize(cam.normalize(pixels)), pixels, atol=1e-4)
+    normalized = np.array([[(u - 320) / 900, (v - 240) / 900]])
+    np.testing.assert_allclose(cam.normalize(cam.denormalize(normalized)), normalized, atol=1e-7)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_rays_go_through_what_was_projected(lens: str) -> None:
+    cam = camera(lens)
+    points = points_in_view(cam, 30)
+    rays = cam.rays(cam.project(points))
+    toward = points - cam.center
+    np.testing.assert_allclose(rays, toward / np.linalg.norm(toward, axis=1, keepdims=True), atol=1e-7)
+
+
+@pytest.mark.xfail(strict=True, reason="Camera hands strided views to cv2.fisheye, which reads them wrongly")
+def test_columns_of_a_wider_array() -> None:
+    # cv2.fisheye of OpenCV 5 takes an array that is not contiguous for one that is.
+    cam = camera("fisheye")
+    pixels = np.random.default_rng(0).uniform(50, 400, (20, 4))
+    np.testing.assert_array_equal(cam.normalize(pixels[:, :2]), cam.normalize(pixels[:, :2].copy()))
+    normalized = (pixels - 240) / 800
+    np.testing.assert_array_equal(cam.denormalize(normalized[:, :2]), cam.denormalize(normalized[:, :2].copy()))
+
+
+def test_points_not_in_front_are_nan() -> None:
+    cam = camera(pose=RigidTransform.identity())
+    pixels = cam.project([[0, 0, 1], [0, 0, -1], [1, 0, 0]])
+    assert np.isfinite(pixels[0]).all()
+    assert np.isnan(pixels[1:]).all()
+    assert np.isnan(cam.project([[0, 0, -1]])).all()
+
+
+def test_no_points() -> None:
+    for lens in LENSES:
+        cam = camera(lens)
+        empty = np.empty((0, 2))
+        shapes = [a.shape for a in (cam.normalize(empty), cam.denormalize(empty), cam.project(np.empty((0, 3))))]
+        assert shapes == [(0, 2)] * 3
+        assert cam.rays(empty).shape == (0, 3)
+
+
+def test_center_and_direction() -> None:
+    cam = camera()
+    np.testing.assert_allclose(POSE.apply(cam.center), 0, atol=1e-12)
+    np.testing.assert_allclose(POSE.apply(cam.center + 2 * cam.direction), [0, 0, 2], atol=1e-12)
+    assert cam.focal == pytest.approx(np.sqrt(800 * 790))
+
+
+def test_arrays_cannot_be_changed() -> None:
+    cam = camera()
+    with pytest.raises(ValueError, match="read-only"):
+        cam.matrix[0, 0] = 1
+    with pytest.raises(ValueError, match="read-only"):
+        cam.distortion[0] = 1
+
+
+BAD_CAMERAS: dict[str, tuple[dict[str, Any], str]] = {
+    "matrix shape": ({"matrix": np.eye(2)}, "3x3 and finite"),
+    "matrix nan": ({"matrix": np.full((3, 3), np.nan)}, "3x3 and finite"),
+    "negative focal length": ({"matrix": np.diag([-1.0, 1, 1])}, "positive focal lengths"),
+    "last row": ({"matrix": np.diag([1.0, 1, 2])}, "last row"),
+    "size": ({"size": (0, 480)}, "width, height"),
+    "size of one": ({"size": (640,)}, "width, height"),
+    "terms": ({"distortion": np.zeros(6)}, "6 distortion terms"),
+    "fisheye terms": ({"distortion": np.zeros(5), "lens": "fisheye"}, "5 distortion terms; the fisheye model"),
+    "distortion inf": ({"distortion": np.array([0, 0, 0, np.inf])}, "not finite"),
+    "lens": ({"lens": "mirror"}, "'opencv' or 'fisheye'"),
+    "two poses": ({"camera_from_world": RigidTransform.identity(2)}, "single transform"),
+    "pose nan": ({"camera_from_world": RigidTransform.from_translation([0, 0, np.nan])}, "not finite"),
+}
+
+
+@pytest.mark.parametrize("bad", BAD_CAMERAS)
+def test_bad_camera(bad: str) -> None:
+    changes, message = BAD_CAMERAS[bad]
+    with pytest.raises(ValueError, match=f"camera cam_0: .*{message}"):
+        replace(camera(), **changes)
+
+
+def test_rig() -> None:
+    rig = Rig([camera(name=name) for name in ("left", "right", "top")], "mm")
+    assert rig.names == ("left", "right", "top")
+    assert len(rig) == 3
+    assert [c.name for c in rig] == ["left", "right", "top"]
+    assert rig["right"] is rig.cameras[1]
+    part = rig.subset(["top", "left"])
+    assert part.names == ("top", "left")
+    assert part.unit == "mm"
+    with pytest.raises(KeyError, match=r"no camera 'back' in the rig \(left, right, top\)"):
+        rig["back"]
+
+
+def test_bad_rig() -> None:
+    with pytest.raises(ValueError, match="at least one camera"):
+        Rig([])
+    with pytest.raises(ValueError, match="two cameras of the same name"):
+        Rig([camera(), camera()])
+
+
+def directions(rng: np.random.Generator, n: int) -> NDArray[np.float64]:
+    d = rng.normal(size=(n, 3))
+    return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 8))
+def test_nearest_point_to_rays_that_meet_is_where_they_meet(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    point, d = rng.normal(size=3), directions(rng, n)
+    if np.linalg.svd(d)[1][1] < 0.1:
+        return  # nearly parallel
+    centers = point - rng.uniform(0.5, 5, (n, 1)) * d
+    np.testing.assert_allclose(nearest_point_to_rays(centers, d), point, atol=1e-9)
+
+
+def test_nearest_point_to_rays_is_the_least() -> None:
+    rng = np.random.default_rng(1)
+    centers, d = rng.normal(size=(5, 3)), directions(rng, 5)
+
+    def cost(point: NDArray[np.float64]) -> float:
+        return float((np.cross(point - centers, d) ** 2).sum())
+
+    best = nearest_point_to_rays(centers, d)
+    assert all(cost(best) < cost(best + step) for step in 1e-3 * directions(rng, 20))
+
+
+def test_nearest_point_to_parallel_rays() -> None:
+    d = np.array([[0, 0, 1.0]])
+    # What the lines leave open is taken from `near`, or is 1 along them, or halfway between opposite ones.
+    np.testing.assert_allclose(nearest_point_to_rays([[1, 2, 3]], d, near=[5, 6, 7]), [1, 2, 7], atol=1e-12)
+    np.testing.assert_allclose(nearest_point_to_rays([[1, 2, 3]], d), [1, 2, 4], atol=1e-12)
+    two = nearest_point_to_rays([[1, 0, 3], [-1, 0, 5]], np.concatenate([d, -d]))
+    np.testing.assert_allclose(two, [0, 0, 4], atol=1e-12)
