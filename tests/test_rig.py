@@ -85,7 +85,6 @@ def test_rays_go_through_what_was_projected(lens: str) -> None:
     np.testing.assert_allclose(rays, toward / np.linalg.norm(toward, axis=1, keepdims=True), atol=1e-7)
 
 
-@pytest.mark.xfail(strict=True, reason="Camera hands strided views to cv2.fisheye, which reads them wrongly")
 def test_columns_of_a_wider_array() -> None:
     # cv2.fisheye of OpenCV 5 takes an array that is not contiguous for one that is.
     cam = camera("fisheye")

@@ -366,6 +366,16 @@ def test_no_motion_from_one_camera_is_one_candidate() -> None:
     assert angle(solution.rotation, np.eye(3)) < 1e-3
 
 
+def test_points_that_fall_together_give_no_false_certificate() -> None:
+    """y without spread: h = 0, so that nothing says which way the object turned."""
+    rng = np.random.default_rng(7)
+    cameras = general_cameras(rng, 3)
+    moments = [PairMoments.from_matches(rng.normal(size=(9, 2)), np.zeros((9, 2))) for _ in cameras]
+    solution = solve_centralized(cameras, moments)
+    assert not solution.certified
+    assert np.isfinite(solution.information).all()
+
+
 def perspective(
     rng: np.random.Generator, cameras: FloatArray, centers: FloatArray, turn: FloatArray, d: FloatArray, size: float
 ) -> list[PairMoments]:

@@ -22,7 +22,7 @@ constraint, Pless 2003; moments and world-axes form, docs/method.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,10 @@ class TermData:
     center: FloatArray
     focal: float
     base_from_reference: RigidTransform | None = None
+
+    def subset(self, mask: NDArray[np.bool_]) -> TermData:
+        """The matches where the mask (n,) is True."""
+        return replace(self, x=self.x[mask], y=self.y[mask])
 
     @property
     def center_x(self) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,6 +18,8 @@ FloatArray = NDArray[np.float64]
 # SIFT looks at a patch of about this many pixels around a keypoint; a crop is padded by it.
 CROP_MARGIN_PX = 24
 MAX_FEATURES = 2000
+
+_cv2: Any = cv2  # its type stubs lack SIFT
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +112,11 @@ def detect(
     grey = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY) if crop.ndim == 3 else np.ascontiguousarray(crop)
     # A lower contrast threshold than Lowe's 0.04: on plain objects there is little else to go by, and what is not the
     # object's motion is rejected later.
-    sift = cv2.SIFT_create(nfeatures=max_features, contrastThreshold=0.02)
+    sift = _cv2.SIFT_create(nfeatures=max_features, contrastThreshold=0.02)
     keypoints, descriptors = sift.detectAndCompute(grey, crop_mask)
     if descriptors is None or len(keypoints) == 0:
         return Features.none()
-    pixels = cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + np.array([left, top])
+    pixels = _cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + np.array([left, top])
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
     return Features(pixels, camera.normalize(pixels), root.astype(np.float32))
 

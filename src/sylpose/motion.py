@@ -173,19 +173,21 @@ def fit_terms(
         hypotheses += [(s.rotation, s.shift) for s in solutions]
     if not hypotheses:
         return _no_fit(data, Status.TOO_FEW_MATCHES)
-    scored = sorted(hypotheses, key=lambda h: _robust_cost(data, center, radius, h))
+    # What stands still tells nothing between hypotheses: a background would vote for the identity.
+    voters = [term.subset(mask) for term, mask in zip(data, moving, strict=True)]
+    scored = sorted(hypotheses, key=lambda h: _robust_cost(voters, center, radius, h))
     best: Fit | None = None
     best_cost = np.inf
     for hypothesis in scored[:2]:
         fit = _refine(data, center, radius, hypothesis, iterations)
-        cost = _robust_cost(data, center, radius, (fit.rotation, fit.shift)) if fit.status.has_pose else np.inf
+        cost = _robust_cost(voters, center, radius, (fit.rotation, fit.shift)) if fit.status.has_pose else np.inf
         if best is None or cost < best_cost:
             best, best_cost = fit, cost
     assert best is not None  # there is at least one hypothesis
     if n_moving < 0.5 * n and sum((w > 0).sum() for w in best.weights) < 0.5 * n:
         # Most matches stand still: unless the moving ones agree on a motion, they are mismatches.
         agreed = sum(int(((w > 0) & m).sum()) for w, m in zip(best.weights, moving, strict=True))
-        if not best.status.has_pose or agreed < 0.6 * n_moving:
+        if not best.status.has_pose or agreed < CAMERA_MIN_SHARE * n_moving:
             return _still(data, moving)
     return best
 
@@ -206,7 +208,7 @@ def _refine(
         residuals, ratios = _all_residuals(data, center, rotation, shift)
         weights = [bisquare(r, max(4.0 * s, 6.0 - 2 * round_)) for r, s in zip(residuals, sigma, strict=True)]
         distances = [_segment_distance(term, center, radius, rotation, shift) for term in data]
-        weights = [w * (e < 2 * 6.0) for w, e in zip(weights, distances, strict=True)]
+        weights = [w * (e < max(SCORE_CUTOFF_PX, 8.0 - 2 * round_)) for w, e in zip(weights, distances, strict=True)]
         weights = _without_bad_cameras(weights)
         if sum(int((w > 0).sum()) for w in weights) < MIN_MATCHES:
             return _no_fit(data, Status.NOT_CONSISTENT)

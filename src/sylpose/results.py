@@ -110,14 +110,14 @@ class FramePose:
     @property
     def sigma(self) -> FloatArray:
         """(6,) standard deviations: rotation about the world's x, y, z (radians), then position x, y, z."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
     @property
     def pan_tilt_roll(self) -> FloatArray:
         """(3,) radians, R = R_y(pan) R_x(tilt) R_z(roll) (docs/conventions.md); NaN without a pose."""
         if self.world_from_object is None:
             return np.full(3, np.nan)
-        return np.asarray(self.world_from_object.rotation.as_euler("YXZ"))
+        return np.asarray(self.world_from_object.rotation.as_euler("YXZ", suppress_warnings=True))
 
     @property
     def position(self) -> FloatArray:

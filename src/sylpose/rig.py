@@ -55,6 +55,8 @@ class Camera:
             raise ValueError(
                 f"camera {self.name}: the matrix must have positive focal lengths and (0, 0, 1) as last row"
             )
+        if matrix[0, 1] != 0 or matrix[1, 0] != 0:
+            raise ValueError(f"camera {self.name}: the matrix has skew, which OpenCV's lens models do not know")
         if len(self.size) != 2 or min(self.size) <= 0:
             raise ValueError(f"camera {self.name}: the size must be (width, height) in pixels, got {self.size}")
         if self.lens not in ("opencv", "fisheye"):
@@ -100,7 +102,8 @@ class Camera:
 
     def normalize(self, pixels: ArrayLike) -> FloatArray:
         """Undistort: pixels (n, 2) of the image as recorded -> normalised points (n, 2) on the plane z = 1."""
-        points = np.asarray(pixels, dtype=float).reshape(-1, 1, 2)
+        # Contiguous: OpenCV's fisheye functions ignore strides.
+        points = np.ascontiguousarray(pixels, dtype=float).reshape(-1, 1, 2)
         if points.size == 0:
             return np.empty((0, 2))
         if self.lens == "fisheye":
@@ -124,7 +127,7 @@ class Camera:
 
     def denormalize(self, normalized: ArrayLike) -> FloatArray:
         """Normalised points (n, 2) -> pixels (n, 2) of the image as recorded: the inverse of `normalize`."""
-        points = np.asarray(normalized, dtype=float).reshape(-1, 2)
+        points = np.ascontiguousarray(normalized, dtype=float).reshape(-1, 2)
         if points.size == 0:
             return np.empty((0, 2))
         if self.lens == "fisheye":

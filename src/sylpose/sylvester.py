@@ -367,13 +367,13 @@ def _dual_newton(H: FloatArray, h: FloatArray, bound: int = 40) -> tuple[FloatAr
         R = r.reshape(3, 3)
         excess = R @ R.T - np.eye(3)
         if np.abs(excess).max() < 1e-11:
-            # Half a Newton step onto the rotations: what is left of `excess` is its square.
+            # A Newton-Schulz step onto the rotations: what is left of `excess` is its square.
             return (R - 0.5 * excess @ R if np.linalg.det(R) > 0 else None), iteration
         gradient = 0.5 * basis @ excess.ravel()
         jacobian = _SYMMETRIC_KRON @ r @ root
         curvature = jacobian @ jacobian.T
         # Singular where R is (one camera): then the step is long, and what follows ends it at the boundary.
-        curvature[np.diag_indices(6)] += 1e-14 * np.trace(curvature)
+        curvature[np.diag_indices(6)] += 1e-14 * (np.trace(curvature) + 1)
         step = np.linalg.solve(curvature, gradient)
         slope = float(gradient @ step)
         edge = np.linalg.eigvalsh(root.T @ (step @ _SYMMETRIC_KRON.reshape(6, 81)).reshape(9, 9) @ root)[0]

@@ -202,12 +202,13 @@ def write_tum(path: Path | str, times: ArrayLike, world_from_object: RigidTransf
         OSError: naming the file, when it cannot be written.
     """
     times = np.asarray(times, dtype=float)
-    poses = world_from_object[None] if world_from_object.single else world_from_object
-    if times.shape != (len(poses),):
-        raise ValueError(f"times have the shape {times.shape} for {len(poses)} poses")
+    positions = world_from_object.translation.reshape(-1, 3)
+    quaternions = world_from_object.rotation.as_quat().reshape(-1, 4)
+    if times.shape != (len(positions),):
+        raise ValueError(f"times have the shape {times.shape} for {len(positions)} poses")
     lines = [_tum_header(unit)]
     quaternion: FloatArray | None = None
-    for time, position, q in zip(times, poses.translation, poses.rotation.as_quat(), strict=True):
+    for time, position, q in zip(times, positions, quaternions, strict=True):
         quaternion = _continued(q, quaternion)
         lines.append(_tum_line(time, position, quaternion))
     with writing(path):

@@ -15,6 +15,7 @@ import numpy as np
 from av.codec.codec import UnknownCodecError
 from av.video.reformatter import Colorspace
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.report.files import writing
 from sylpose.results import FramePose, Status
@@ -179,7 +180,7 @@ class OverlayWriter:
                 if pair is not None:
                     _draw_matches(inner, pair, scale, layout.text)
                 if pose.world_from_object is not None:
-                    _draw_axes(inner, camera, pose, axis_length, scale, pen, layout.text)
+                    _draw_axes(inner, camera, pose.world_from_object, axis_length, scale, pen, layout.text)
             _draw_caption(tile, camera.name, pose, i, image is not None, layout.text)
         return picture
 
@@ -203,8 +204,8 @@ def _layout(rig: Rig, max_width: int) -> _Layout:
     rows = -(-n // columns)
     tile_width = min(max(width, MIN_TILE), (max_width - (columns - 1) * GAP) // columns)
     tile = (tile_width, max(1, round(tile_width * height / width)))
-    text = float(np.clip(min(tile[0] / 1000, tile[1] / 560), 0.36, 1.6))
-    bar = round(44 * max(text, 0.5))
+    text = float(np.clip(min(tile[0] / 1000, tile[1] / 560), 0.5, 1.6))
+    bar = int(np.clip((columns * (tile[0] + GAP)) / 44, 22, 64))
     corners = tuple(((i % columns) * (tile[0] + GAP), bar + (i // columns) * (tile[1] + GAP)) for i in range(n))
     size = (columns * (tile[0] + GAP) - GAP, bar + rows * (tile[1] + GAP) - GAP)
     # yuv420p needs even sizes.
@@ -255,12 +256,11 @@ def _draw_matches(tile: Image, pair: Matches, scale: float, text: float) -> None
 
 
 def _draw_axes(
-    tile: Image, camera: Camera, pose: FramePose, length: float, scale: float, pen: int, text: float
+    tile: Image, camera: Camera, world_from_object: RigidTransform, length: float, scale: float, pen: int, text: float
 ) -> None:
     """The object's axes, the farthest first; through the lens, so they may be curved."""
-    assert pose.world_from_object is not None
-    origin = pose.world_from_object.translation
-    directions = pose.world_from_object.rotation.as_matrix().T
+    origin = world_from_object.translation
+    directions = world_from_object.rotation.as_matrix().T
     depths = np.linalg.norm(origin + length * directions - camera.center, axis=1)
     steps = np.linspace(0, 1, 13)[:, None]
     for k in np.argsort(-depths):
@@ -327,18 +327,21 @@ def _draw_bar(bar: Image, pose: FramePose, axis_length: float, unit: str) -> Non
     ):
         if words:
             x += _text(bar, words, (x, y), size, ink) + height * 0.5
-    if pose.world_from_object is None:
-        words = pose.status.text
-    else:
+    texts = [pose.status.text]
+    if pose.world_from_object is not None:
         pan, tilt, roll = np.degrees(pose.pan_tilt_roll)
+        angles = f"pan {pan:+.1f}  tilt {tilt:+.1f}  roll {roll:+.1f} deg"
         # To a hundredth or so of the object's size.
         digits = int(np.clip(2 - np.floor(np.log10(max(axis_length, 1e-9))), 0, 6))
         place = "  ".join(f"{name} {value:+.{digits}f}" for name, value in zip("xyz", pose.position, strict=True))
-        words = f"pan {pan:+.1f}  tilt {tilt:+.1f}  roll {roll:+.1f} deg    {place} {unit}"
-    (width, _), _ = cv2.getTextSize(words.strip(), cv2.FONT_HERSHEY_SIMPLEX, size, _pen(size))
-    right = bar.shape[1] - height * 0.3 - width
-    if right > x:
-        _text(bar, words.strip(), (right, y), size, WHITE)
+        texts = [f"{angles}    {place} {unit}".strip(), angles]
+    # The longest text that there is room for.
+    for words in texts:
+        (width, _), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, size, _pen(size))
+        right = bar.shape[1] - height * 0.3 - width
+        if right > x:
+            _text(bar, words, (right, y), size, WHITE)
+            break
 
 
 def _pen(size: float) -> int:

@@ -96,7 +96,9 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
         (2, "roll (about z)", Z_COLOR),
     ):
         _line(angles, times, values[:, k], sigmas[:, k], color, label, marker)
-    angles.plot(times, np.degrees(trajectory.turn), color=INK, linewidth=1.2, linestyle="--", label="total turn")
+    angles.plot(
+        times, np.degrees(trajectory.turn), color=INK, linewidth=1.2, linestyle="--", label="total turn (0 to 180°)"
+    )
     angles.set_ylabel("angle (degrees)")
 
     start = trajectory.positions[solved][0] if solved.any() else np.full(3, np.nan)
@@ -131,7 +133,7 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     residuals.set_ylim(bottom=0)
     pad = 0.01 * (times[-1] - times[0]) or 0.5
     residuals.set_xlim(times[0] - pad, times[-1] + pad)
-    band = [Patch(color=INK, alpha=0.18, linewidth=0, label="± 2 standard deviations")]
+    band = [Patch(color=Z_COLOR, alpha=0.25, linewidth=0, label="± 2 standard deviations")]
     handles: list[Line2D | Patch] = [*angles.get_lines(), *band, *shading]
     _legend(angles, [h for h in handles if not str(h.get_label()).startswith("_")])
     _legend(position, list(position.get_lines()))
@@ -182,7 +184,7 @@ def _finish(panel: Axes) -> None:
 
 
 def _legend(panel: Axes, handles: list[Line2D] | list[Line2D | Patch]) -> None:
-    columns = 1 + (len(handles) - 1) // 12
+    columns = 1 + (len(handles) - 1) // 8
     panel.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.005, 1.0), frameon=False, ncols=columns)
 
 

@@ -1,0 +1,117 @@
+"""What is known of each feature's place on the object: a mean and an information matrix, growing with every sight of it.
+
+A feature seen once lies on its ray, somewhere in the object's depth; each further sight adds a ray. In the object's frame a
+ray from o along r at distance d, with an image noise of σ/f, is the information (I - r r') / (d σ/f)² about the point, so
+places are fused by adding information, whatever the order (docs/method.md, "Better than two frames").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.features import Features
+from sylpose.rig import Camera
+
+__all__ = ["Landmarks", "depth_prior", "new_landmarks"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+# Image noise of a ray, pixels. More than a keypoint's own noise: the poses that rays are placed with have errors too,
+# and those do not average out over the features of one frame.
+RAY_SIGMA_PX = 1.0
+# Neighbours in the image that a new feature's depth is guessed from.
+NEIGHBOURS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Places of n features in the object's frame.
+
+    Attributes:
+        mean: (n, 3).
+        information: (n, 3, 3), the inverse covariances.
+    """
+
+    mean: FloatArray
+    information: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(n, 3, 3)."""
+        return np.asarray(np.linalg.inv(self.information))
+
+    def subset(self, index: NDArray[np.int64] | BoolArray) -> Landmarks:
+        """Those that a mask or an index array picks."""
+        return Landmarks(self.mean[index], self.information[index])
+
+
+def rays(features: Features, camera: Camera, object_from_world: RigidTransform) -> tuple[FloatArray, FloatArray]:
+    """Camera's centre (3,) and the features' unit directions (n, 3), object's frame."""
+    homogeneous = np.column_stack([features.normalized, np.ones(len(features))])
+    directions = object_from_world.rotation.apply(homogeneous @ camera.rotation).reshape(-1, 3)
+    directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.asarray(object_from_world.apply(camera.center)), directions
+
+
+def new_landmarks(
+    features: Features, camera: Camera, object_from_world: RigidTransform, distance: FloatArray, sd: FloatArray
+) -> Landmarks:
+    """Features seen for the first time: on their rays, at a distance (n,) from the camera give or take sd (n,)."""
+    center, directions = rays(features, camera, object_from_world)
+    mean = center + distance[:, None] * directions
+    along = directions[:, :, None] * directions[:, None, :]
+    across = (camera.focal / (RAY_SIGMA_PX * distance)) ** 2
+    return Landmarks(mean, across[:, None, None] * (np.eye(3) - along) + along / (sd**2)[:, None, None])
+
+
+def seen_again(known: Landmarks, features: Features, camera: Camera, object_from_world: RigidTransform) -> Landmarks:
+    """Adds each feature's ray (n) to what is known of its landmark (n)."""
+    center, directions = rays(features, camera, object_from_world)
+    distance = np.linalg.norm(known.mean - center, axis=1)
+    across = (camera.focal / (RAY_SIGMA_PX * np.maximum(distance, 1e-12))) ** 2
+    ray = across[:, None, None] * (np.eye(3) - directions[:, :, None] * directions[:, None, :])
+    information = known.information + ray
+    right = np.einsum("nij,nj->ni", known.information, known.mean) + ray @ center
+    return Landmarks(np.linalg.solve(information, right[..., None])[..., 0], information)
+
+
+def depth_prior(
+    features: Features,
+    camera: Camera,
+    world_from_object: RigidTransform,
+    cloud: FloatArray,
+    sd_cloud: FloatArray,
+    radius: float,
+) -> tuple[FloatArray, FloatArray]:
+    """How far away features are that were never seen before, from the object's points around them in the image.
+
+    Args:
+        cloud: (m, 3) points of the object, object's frame; sd_cloud: (m,) how far each may be off in depth.
+        radius: of the object, which bounds the answer's uncertainty from above and, at a tenth, from below.
+
+    Returns:
+        distance (n,) from the camera; sd (n,).
+    """
+    points = world_from_object.apply(cloud).reshape(-1, 3)
+    pixels = camera.project(points)
+    seen = np.isfinite(pixels).all(axis=1)
+    middle = float(np.linalg.norm(world_from_object.translation - camera.center))
+    n = len(features)
+    if seen.sum() < NEIGHBOURS or n == 0:
+        return np.full(n, middle), np.full(n, radius)
+    distance = np.linalg.norm(points[seen] - camera.center, axis=1)
+    gap, index = cKDTree(pixels[seen]).query(features.pixels, NEIGHBOURS)
+    near = distance[index]
+    # A gap in the image may be a gap of the same size in depth.
+    extrapolation = gap.mean(axis=1) / camera.focal * middle
+    spread = np.sqrt(near.var(axis=1) + (sd_cloud[seen][index] ** 2).mean(axis=1) + extrapolation**2)
+    return near.mean(axis=1), spread.clip(0.1 * radius, radius)
