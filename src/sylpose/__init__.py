@@ -1,3 +1,68 @@
-"""sylpose: how a rigid object moves in 3D, from the videos of several calibrated cameras around it."""
+"""sylpose: how a rigid object moves in 3D, from the videos of several calibrated cameras around it.
+
+    from sylpose import open_session, track
+
+    session = open_session("recording")
+    for frame in track(session.frames(), session.rig, session.boxes):
+        print(frame.pose.time, frame.pose.status.text, frame.pose.world_from_object)
+
+The names below are loaded when they are first used, so that `import sylpose` itself takes no time.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sylpose.app.run import Run, track_session
+    from sylpose.capture import Box, FrameSet, Session, open_session
+    from sylpose.features import Matches
+    from sylpose.moments import PairMoments
+    from sylpose.motion import estimate_motion
+    from sylpose.results import FramePose, Motion, Status, Trajectory
+    from sylpose.rig import Camera, Rig
+    from sylpose.tracking import TrackedFrame, track
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "Box",
+    "Camera",
+    "FramePose",
+    "FrameSet",
+    "Matches",
+    "Motion",
+    "PairMoments",
+    "Rig",
+    "Run",
+    "Session",
+    "Status",
+    "TrackedFrame",
+    "Trajectory",
+    "estimate_motion",
+    "open_session",
+    "track",
+    "track_session",
+]
+
+_HOMES = {
+    "sylpose.app.run": ("Run", "track_session"),
+    "sylpose.capture": ("Box", "FrameSet", "Session", "open_session"),
+    "sylpose.features": ("Matches",),
+    "sylpose.moments": ("PairMoments",),
+    "sylpose.motion": ("estimate_motion",),
+    "sylpose.results": ("FramePose", "Motion", "Status", "Trajectory"),
+    "sylpose.rig": ("Camera", "Rig"),
+    "sylpose.tracking": ("TrackedFrame", "track"),
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'sylpose' has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(_HOME_OF[name]), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

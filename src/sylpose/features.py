@@ -77,6 +77,10 @@ class Features:
     def __len__(self) -> int:
         return len(self.pixels)
 
+    def subset(self, index: NDArray[np.int64]) -> Features:
+        """The keypoints that an index array picks."""
+        return Features(self.pixels[index], self.normalized[index], self.descriptors[index])
+
     @classmethod
     def none(cls) -> Features:
         """No keypoints: a camera without an image, or whose region is empty."""

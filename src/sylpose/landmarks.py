@@ -17,14 +17,14 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features import Features
 from sylpose.rig import Camera
 
-__all__ = ["Landmarks", "depth_prior", "new_landmarks"]
+__all__ = ["Landmarks", "depth_prior", "learn_landmarks", "new_landmarks", "seen_again"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 # Image noise of a ray, pixels. More than a keypoint's own noise: the poses that rays are placed with have errors too,
 # and those do not average out over the features of one frame.
-RAY_SIGMA_PX = 1.0
+RAY_SIGMA_PX = 2.0
 # Neighbours in the image that a new feature's depth is guessed from.
 NEIGHBOURS = 8
 
@@ -45,9 +45,10 @@ class Landmarks:
         return len(self.mean)
 
     @property
-    def covariance(self) -> FloatArray:
-        """(n, 3, 3)."""
-        return np.asarray(np.linalg.inv(self.information))
+    def depth_error(self) -> FloatArray:
+        """(n, 3) the direction in which each place is least known, one standard deviation long; its sign is open."""
+        values, vectors = np.linalg.eigh(self.information)
+        return np.asarray(vectors[:, :, 0] / np.sqrt(np.maximum(values[:, :1], 1e-30)))
 
     def subset(self, index: NDArray[np.int64] | BoolArray) -> Landmarks:
         """Those that a mask or an index array picks."""
@@ -85,27 +86,22 @@ def seen_again(known: Landmarks, features: Features, camera: Camera, object_from
 
 
 def depth_prior(
-    features: Features,
-    camera: Camera,
-    world_from_object: RigidTransform,
-    cloud: FloatArray,
-    sd_cloud: FloatArray,
-    radius: float,
+    features: Features, camera: Camera, world_from_object: RigidTransform, cloud: FloatArray, radius: float
 ) -> tuple[FloatArray, FloatArray]:
     """How far away features are that were never seen before, from the object's points around them in the image.
 
     Args:
-        cloud: (m, 3) points of the object, object's frame; sd_cloud: (m,) how far each may be off in depth.
-        radius: of the object, which bounds the answer's uncertainty from above and, at a tenth, from below.
+        cloud: (m, 3) points on or in the object, object's frame.
+        radius: of the object, which bounds the answer's uncertainty: above and, at a tenth of it, below.
 
     Returns:
         distance (n,) from the camera; sd (n,).
     """
+    n = len(features)
     points = world_from_object.apply(cloud).reshape(-1, 3)
     pixels = camera.project(points)
     seen = np.isfinite(pixels).all(axis=1)
     middle = float(np.linalg.norm(world_from_object.translation - camera.center))
-    n = len(features)
     if seen.sum() < NEIGHBOURS or n == 0:
         return np.full(n, middle), np.full(n, radius)
     distance = np.linalg.norm(points[seen] - camera.center, axis=1)
@@ -113,5 +109,23 @@ def depth_prior(
     near = distance[index]
     # A gap in the image may be a gap of the same size in depth.
     extrapolation = gap.mean(axis=1) / camera.focal * middle
-    spread = np.sqrt(near.var(axis=1) + (sd_cloud[seen][index] ** 2).mean(axis=1) + extrapolation**2)
-    return near.mean(axis=1), spread.clip(0.1 * radius, radius)
+    return near.mean(axis=1), np.sqrt(near.var(axis=1) + extrapolation**2).clip(0.1 * radius, radius)
+
+
+def learn_landmarks(
+    features: Features,
+    camera: Camera,
+    world_from_object: RigidTransform,
+    known: Landmarks,
+    index: NDArray[np.int64],
+    cloud: FloatArray,
+    radius: float,
+) -> Landmarks:
+    """The landmarks of a solved frame's features: known ones (k) seen again at `index` (k,), the others new."""
+    object_from_world = world_from_object.inv()
+    distance, sd = depth_prior(features, camera, world_from_object, cloud, radius)
+    landmarks = new_landmarks(features, camera, object_from_world, distance, sd)
+    if len(index):
+        again = seen_again(known, features.subset(index), camera, object_from_world)
+        landmarks.mean[index], landmarks.information[index] = again.mean, again.information
+    return landmarks

@@ -16,7 +16,7 @@ from sylpose.results import Motion, Status
 from sylpose.rig import Rig, nearest_point_to_rays
 from sylpose.robust import affine_epipolar_inliers, bisquare, robust_sigma
 
-__all__ = ["METHODS", "Fit", "estimate_motion", "fit_terms", "object_place"]
+__all__ = ["METHODS", "Fit", "estimate_motion", "fit_terms", "no_fit", "object_place"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -106,7 +106,7 @@ def estimate_motion(
         if len(m)
     ]
     if sum(len(term.x) for term in data) < MIN_MATCHES:
-        return _motion(rig, matches, data, _no_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), method)
+        return _motion(rig, matches, data, no_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), method)
     found_center, found_radius = object_place(data)
     g = found_center if center is None else np.asarray(center, dtype=float)
     guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
@@ -156,7 +156,7 @@ def fit_terms(
     moving = [_moves(term) for term in data]
     n_moving, n = sum(int(m.sum()) for m in moving), sum(len(m) for m in moving)
     if n < MIN_MATCHES:
-        return _no_fit(data, Status.TOO_FEW_MATCHES)
+        return no_fit(data, Status.TOO_FEW_MATCHES)
     if n_moving < max(MIN_MATCHES, 0.1 * n):
         return _still(data, moving)
     hypotheses = list(guesses)
@@ -172,7 +172,7 @@ def fit_terms(
         iterations += solutions[0].iterations
         hypotheses += [(s.rotation, s.shift) for s in solutions]
     if not hypotheses:
-        return _no_fit(data, Status.TOO_FEW_MATCHES)
+        return no_fit(data, Status.TOO_FEW_MATCHES)
     # What stands still tells nothing between hypotheses: a background would vote for the identity.
     voters = [term.subset(mask) for term, mask in zip(data, moving, strict=True)]
     scored = sorted(hypotheses, key=lambda h: _robust_cost(voters, center, radius, h))
@@ -211,7 +211,7 @@ def _refine(
         weights = [w * (e < max(SCORE_CUTOFF_PX, 8.0 - 2 * round_)) for w, e in zip(weights, distances, strict=True)]
         weights = _without_bad_cameras(weights)
         if sum(int((w > 0).sum()) for w in weights) < MIN_MATCHES:
-            return _no_fit(data, Status.NOT_CONSISTENT)
+            return no_fit(data, Status.NOT_CONSISTENT)
         sigma = np.array(
             [robust_sigma(r[w > 0], SIGMA_FLOOR_PX) for r, w in zip(residuals, weights, strict=True)]
         ).clip(max=2.0)
@@ -342,7 +342,7 @@ def _still(data: Sequence[TermData], moving: Sequence[BoolArray]) -> Fit:
     return Fit(Status.NO_MOTION, np.eye(3), np.zeros(3), weights, residuals, sigma, information, information, 0)
 
 
-def _no_fit(data: Sequence[TermData], status: Status) -> Fit:
+def no_fit(data: Sequence[TermData], status: Status) -> Fit:
     weights = tuple(np.zeros(len(term.x)) for term in data)
     nothing = np.zeros((6, 6))
     sigma = np.full(len(data), np.nan)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.epipolar import TermData
 from sylpose.features import Features, match_features
+from sylpose.landmarks import Landmarks
 from sylpose.rig import Rig
 
 __all__ = ["Pair", "Reference", "learn", "match_pair", "still", "triangulate"]
@@ -21,7 +22,7 @@ BoolArray = NDArray[np.bool_]
 # A feature displaced by less than this, in pixels, stands still for all that two keypoints can tell.
 STILL_PX = 1.5
 # A feature that stands still where the object's surface moved by this much is background.
-BACKGROUND_PX = 5.0
+BACKGROUND_PX = 4.0
 # Points are added to the object's cloud when their depth is known to this share of it.
 DEPTH_SHARE = 0.1
 
@@ -33,6 +34,7 @@ class Reference:
     Attributes:
         index: frame number.
         features: per camera.
+        landmarks: per camera, set when the frame is solved.
         background: per camera (n,), features that were found to stand still where the object moved.
         world_from_object: set when the frame is solved.
         covariance: (6, 6) of (w, d), docs/conventions.md.
@@ -41,6 +43,7 @@ class Reference:
     index: int
     features: tuple[Features, ...]
     background: tuple[BoolArray, ...]
+    landmarks: tuple[Landmarks, ...] = ()
     world_from_object: RigidTransform = field(default_factory=RigidTransform.identity)
     covariance: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
 
@@ -111,18 +114,20 @@ def still(pair: Pair) -> BoolArray:
     return np.asarray(np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1) < STILL_PX)
 
 
-def learn(pairs: Sequence[Pair], weights: Sequence[FloatArray], rig: Rig, current: Reference) -> None:
-    """Marks features as background in both frames: outliers that stand still where the object's surface moved."""
-    for pair, w in zip(pairs, weights, strict=True):
+def learn(pairs: Sequence[Pair], rig: Rig, current: Reference, radius: float) -> None:
+    """Marks features as background in both frames: those that stand still where a point on the object moved."""
+    for pair in pairs:
         camera = rig.cameras[pair.camera]
         reference = pair.reference
         # Where each point would be now if it were on the object, at the depth of its centre.
-        depth = camera.camera_from_world.apply(reference.world_from_object.translation)[2]
-        points = depth * np.column_stack([pair.normalized_i, np.ones(len(pair))])
+        middle = camera.camera_from_world.apply(reference.world_from_object.translation)[2]
         motion = current.world_from_object * reference.world_from_object.inv()
-        expected = camera.project(motion.apply(camera.camera_from_world.inv().apply(points)))
-        moved = np.linalg.norm(expected - pair.pixels_i, axis=1)
-        background = (w == 0) & still(pair) & (moved > BACKGROUND_PX)
+        moved = np.full(len(pair), np.inf)
+        for depth in (middle - radius, middle, middle + radius):
+            points = max(depth, 0.1 * middle) * np.column_stack([pair.normalized_i, np.ones(len(pair))])
+            expected = camera.project(motion.apply(camera.camera_from_world.inv().apply(points)))
+            moved = np.fmin(moved, np.linalg.norm(expected - pair.pixels_i, axis=1))
+        background = still(pair) & (moved > BACKGROUND_PX)
         reference.background[pair.camera][pair.indices[background, 0]] = True
         current.background[pair.camera][pair.indices[background, 1]] = True
 

@@ -48,7 +48,10 @@ def volume_from_boxes(rig: Rig, boxes: Mapping[str, Box]) -> tuple[FloatArray, F
     for camera, box in zip(cameras, boxes.values(), strict=True):
         pixels = camera.project(points) - [box.x, box.y]
         size = np.array([box.width, box.height])
-        inside = ((pixels >= -0.03 * size) & (pixels <= 1.03 * size)).all(axis=1)
+        # A side of the box at the image's rim is where the image ends, not the object.
+        low = np.where(np.array([box.x, box.y]) <= 1, -np.inf, -0.03 * size)
+        high = np.where(np.array([box.x, box.y]) + size >= np.array(camera.size) - 1, np.inf, 1.03 * size)
+        inside = ((pixels >= low) & (pixels <= high)).all(axis=1)
         points = points[inside]
     if len(points) < 8:
         raise ValueError(f"boxes: no place in space is inside the boxes of {', '.join(boxes)} all at once")

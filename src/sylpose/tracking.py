@@ -12,9 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.alignment import Sights, align
 from sylpose.capture import Box, FrameSet
+from sylpose.epipolar import TermData
 from sylpose.features import Features, detect
-from sylpose.motion import Fit, fit_terms, object_place
+from sylpose.landmarks import Landmarks, learn_landmarks
+from sylpose.motion import MIN_MATCHES, Fit, fit_terms, no_fit, object_place
 from sylpose.reference import Pair, Reference, learn, match_pair, still, triangulate
 from sylpose.region import polygon_mask, region_polygon, volume_from_boxes
 from sylpose.results import FramePose, Status
@@ -29,6 +32,8 @@ Regions = Sequence[FloatArray | None]
 # Each frame is solved against the frames this many back: near ones match well, far ones stop the drift
 # (docs/method.md, "Drift").
 LAGS = (1, 3, 8, 16)
+# How each frame's pose is found; the first is the default (docs/methods.md).
+METHODS = ("landmarks", "epipolar", "sylvester")
 # Without boxes nothing is known of the object until it moves: so many frames wait for that, with their images.
 PATIENCE = 10
 # Object points kept to follow the object's region.
@@ -60,7 +65,7 @@ def track(
     rig: Rig,
     boxes: Mapping[str, Box] | None = None,
     *,
-    method: str = "epipolar",
+    method: str = METHODS[0],
     workers: int | None = None,
     seed: int = 0,
 ) -> Iterator[TrackedFrame]:
@@ -78,7 +83,8 @@ class Tracker:
         rig: C cameras.
         boxes: where the object is in the first frame, per camera that sees it, pixels; None: the object is what moves
             against the standing background.
-        method: of the motion estimate, see `estimate_motion`.
+        method: "landmarks" (places of the features on the object grow certain over time: drifts least), or one of
+            `estimate_motion`'s two-frame estimators, "epipolar" (against several references) and "sylvester".
         workers: threads for detection and matching; None: one per core, at most one per camera.
         seed: of the outlier rejection.
     """
@@ -88,7 +94,7 @@ class Tracker:
         rig: Rig,
         boxes: Mapping[str, Box] | None = None,
         *,
-        method: str = "epipolar",
+        method: str = METHODS[0],
         workers: int | None = None,
         seed: int = 0,
     ) -> None:
@@ -103,6 +109,7 @@ class Tracker:
         self._points = np.empty((0, 3))  # object's frame: the cloud whose image is the object's region
         self._radius = np.nan
         self._center: FloatArray | None = None  # of the object in the first frame, world
+        self._bounded = bool(boxes)  # boxes bound the object; without them its region grows with what is found on it
         if boxes:
             self._center, points = volume_from_boxes(rig, boxes)
             self._points = points - self._center
@@ -175,6 +182,7 @@ class Tracker:
         """The frame whose pose is the definition of the object's frame."""
         assert self._center is not None
         current.world_from_object = RigidTransform.from_translation(self._center)
+        self._learn_landmarks(current, [], [])
         self._solved.append(current)
         return self._result(current, frames, Status.FIRST, regions)
 
@@ -186,9 +194,11 @@ class Tracker:
             pairs = [pair for pair in pairs if len(pair.indices)]
             if pairs:
                 data = [pair.term(self.rig, None) for pair in pairs]
+                place = object_place(data)[0]
                 fit = fit_terms(data, *object_place(data), [], self._rng())
                 if fit.status is Status.OK:
                     self._center, self._radius = object_place([p.term(self.rig, None) for p in inliers_of(pairs, fit)])
+                    self._points = self._first_points(first, current, inliers_of(pairs, fit), place, fit)
                     nobody = [None] * len(self.rig)
                     decided = [self._first(first, first_frames, nobody)]
                     for waited, waited_frames in [*self._waiting[1:], (current, frames)]:
@@ -200,6 +210,16 @@ class Tracker:
             return []
         _, oldest = self._waiting.pop(0)
         return [self._unsolved(oldest, Status.NO_MOTION)]
+
+    def _first_points(
+        self, first: Reference, current: Reference, pairs: Sequence[Pair], place: FloatArray, fit: Fit
+    ) -> FloatArray:
+        """Triangulates the first motion's inliers: the object's points, in its frame."""
+        assert self._center is not None
+        first.world_from_object = RigidTransform.from_translation(self._center)
+        current.world_from_object = motion_about(place, fit) * first.world_from_object
+        points = np.concatenate([triangulate(pair, self.rig, current) for pair in pairs])
+        return points[np.linalg.norm(points, axis=1) < 2.0 * self._radius]
 
     # --- every other frame -------------------------------------------------------------------------------------------
 
@@ -217,15 +237,17 @@ class Tracker:
         center = base.world_from_object.translation
         guess = predicted * base.world_from_object.inv()
         guesses = [(guess.rotation.as_matrix(), guess.apply(center) - center)]
-        fit = fit_terms(data, center, self._radius, guesses, self._rng())
+        if self.method == "landmarks":
+            fit = self._align(pairs, data, current, base, guesses[0])
+        else:
+            fit = fit_terms(data, center, self._radius, guesses, self._rng())
         if not fit.status.has_pose:
             return self._lose(frames, fit.status, regions)
-        rotation = Rotation.from_matrix(fit.rotation)
-        motion = RigidTransform.from_components(center + fit.shift - rotation.apply(center), rotation)
+        motion = motion_about(center, fit)
         current.world_from_object = motion * base.world_from_object
         current.covariance = self._covariance(fit, pairs, references, current)
-        learn(pairs, fit.weights, self.rig, current)
-        self._extend_volume(pairs, fit, current)
+        learn(pairs, self.rig, current, self._radius)
+        self._learn_landmarks(current, pairs, fit.weights)
         self._velocity = _power(motion, 1.0 / max(current.index - base.index, 1))
         self._lost = 0
         self._solved.append(current)
@@ -264,15 +286,86 @@ class Tracker:
             inherited += count[id(reference)] / total * (both @ reference.covariance @ both.T)
         return np.asarray(own + inherited)
 
-    def _extend_volume(self, pairs: Sequence[Pair], fit: Fit, current: Reference) -> None:
-        """Adds the inliers' places in space to the cloud that the object's region is the image of."""
-        new = [triangulate(pair, self.rig, current) for pair in inliers_of(pairs, fit)]
-        points = np.concatenate([self._points, *new])
-        near = np.linalg.norm(points, axis=1) < 2.0 * self._radius
-        points = points[near]
-        if len(points) > MAX_VOLUME_POINTS:
-            points = points[self._rng().choice(len(points), MAX_VOLUME_POINTS, replace=False)]
-        self._points = points
+    def _align(
+        self,
+        pairs: Sequence[Pair],
+        data: Sequence[TermData],
+        current: Reference,
+        base: Reference,
+        guess: tuple[FloatArray, FloatArray],
+    ) -> Fit:
+        """The pose from landmarks: each feature's best known one, whichever reference it comes from."""
+        center = base.world_from_object.translation
+        turn = base.world_from_object.rotation
+        sights = []
+        for c, camera in enumerate(self.rig):
+            mine = [pair for pair in pairs if pair.camera == c]
+            known = [pair.reference.landmarks[c].subset(pair.indices[:, 0]) for pair in mine]
+            index = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in mine)])
+            mean = np.concatenate([np.empty((0, 3)), *(k.mean for k in known)])
+            error = turn.apply(np.concatenate([np.empty((0, 3)), *(k.depth_error for k in known)])).reshape(-1, 3)
+            points = turn.apply(mean).reshape(-1, 3)
+            away = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
+            sights.append(
+                Sights(
+                    points,
+                    error * away[:, None],
+                    current.features[c].normalized[index],
+                    index,
+                    camera.rotation,
+                    camera.center - center,
+                    camera.focal,
+                )
+            )
+        if sum(len(s.points) for s in sights) < MIN_MATCHES:
+            return no_fit(data, Status.TOO_FEW_MATCHES)
+        aligned = align(sights, *guess)
+        if aligned.cost > 0.6:
+            other = fit_terms(data, center, self._radius, [guess], self._rng())
+            if other.status is Status.OK:
+                again = align(sights, other.rotation, other.shift, 4.0)
+                if again.cost < aligned.cost:
+                    aligned = again
+        weights, residuals = [], []
+        position = [0] * len(self.rig)
+        for pair in pairs:
+            start, stop = position[pair.camera], position[pair.camera] + len(pair)
+            weights.append(aligned.weights[pair.camera][start:stop])
+            residuals.append(aligned.residuals[pair.camera][start:stop])
+            position[pair.camera] = stop
+        status = Status.OK if aligned.converged else Status.NOT_CONVERGED
+        if sum(int((w > 0).sum()) for w in aligned.weights) < MIN_MATCHES:
+            status = Status.NOT_CONSISTENT
+        return Fit(
+            status,
+            aligned.rotation,
+            aligned.shift,
+            tuple(weights),
+            tuple(residuals),
+            np.array([]),
+            aligned.information,
+            aligned.information,
+            aligned.iterations,
+        )
+
+    def _learn_landmarks(self, current: Reference, pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> None:
+        inliers = [pair.subset(w > 0) for pair, w in zip(pairs, weights, strict=True)]
+        landmarks = []
+        for c, camera in enumerate(self.rig):
+            index, known = best_landmarks(inliers, c)
+            sd = np.sqrt(np.linalg.eigvalsh(known.information)[:, 0].clip(1e-30) ** -1.0)
+            good = known.mean[(sd < 0.1 * self._radius) & (np.linalg.norm(known.mean, axis=1) < 2.0 * self._radius)]
+            cloud = good if len(good) >= 20 else self._points
+            landmarks.append(
+                learn_landmarks(
+                    current.features[c], camera, current.world_from_object, known, index, cloud, self._radius
+                )
+            )
+            if not self._bounded:
+                self._points = np.concatenate([self._points, good])
+        if len(self._points) > MAX_VOLUME_POINTS:
+            self._points = self._points[self._rng().choice(len(self._points), MAX_VOLUME_POINTS, replace=False)]
+        current.landmarks = tuple(landmarks)
 
     # --- results -----------------------------------------------------------------------------------------------------
 
@@ -306,6 +399,32 @@ class Tracker:
             frames.index, frames.time, status, None, np.full((6, 6), np.nan), np.zeros(n, np.int64), np.full(n, np.nan)
         )
         return TrackedFrame(pose, frames, (None,) * n, tuple(regions or [None] * n), self._radius)
+
+
+def best_landmarks(pairs: Sequence[Pair], camera: int) -> tuple[NDArray[np.int64], Landmarks]:
+    """For each feature of the current frame that is matched at all, the best known of the landmarks it is matched with.
+
+    Returns:
+        index (k,) into the current frame's features; their landmarks (k).
+    """
+    mine = [pair for pair in pairs if pair.camera == camera and len(pair)]
+    if not mine:
+        return np.empty(0, np.int64), Landmarks(np.empty((0, 3)), np.empty((0, 3, 3)))
+    known = [pair.reference.landmarks[camera].subset(pair.indices[:, 0]) for pair in mine]
+    index = np.concatenate([pair.indices[:, 1] for pair in mine])
+    mean = np.concatenate([k.mean for k in known])
+    information = np.concatenate([k.information for k in known])
+    weakest = np.linalg.eigvalsh(information)[:, 0]
+    order = np.lexsort([-weakest, index])
+    _, first = np.unique(index[order], return_index=True)
+    pick = order[first]
+    return index[pick], Landmarks(mean[pick], information[pick])
+
+
+def motion_about(center: FloatArray, fit: Fit) -> RigidTransform:
+    """X -> R (X - g) + g + d as a transform."""
+    rotation = Rotation.from_matrix(fit.rotation)
+    return RigidTransform.from_components(center + fit.shift - rotation.apply(center), rotation)
 
 
 def inliers_of(pairs: Sequence[Pair], fit: Fit) -> list[Pair]:

@@ -1,0 +1,73 @@
+"""Your own arrays into sylpose, and sylpose's arrays between its stages.
+
+    python examples/own_arrays.py [RECORDING]
+
+First a motion from matches that come from somewhere else, here a simulation. With a RECORDING (`sylpose demo` makes
+one), then its first and sixth frame by hand: detect, match, summarise, solve.
+"""
+
+import sys
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose import Camera, Matches, Motion, PairMoments, Rig, estimate_motion, open_session
+from sylpose.features import detect, match_features
+from sylpose.simulate import ellipsoid, random_motion, simulate_matches
+
+
+def two_cameras() -> Rig:
+    """A rig from plain numbers: two cameras, 1 m from the world's origin, that look at it 60 degrees apart."""
+    matrix = np.array([[900.0, 0, 319.5], [0, 900.0, 239.5], [0, 0, 1]])
+    distortion = np.array([-0.1, 0.02, 0, 0, 0])  # OpenCV's k1, k2, p1, p2, k3
+    cameras = []
+    for name, degrees in (("left", -30), ("right", 30)):
+        turn = Rotation.from_euler("y", degrees, degrees=True)
+        camera_from_world = RigidTransform.from_components([0.0, 0.0, 1.0], turn)
+        cameras.append(Camera(name, (640, 480), matrix, distortion, camera_from_world))
+    return Rig(cameras, unit="m")
+
+
+def your_matches(rig: Rig, true_motion: RigidTransform) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Per camera the pixels (n, 2) of n features in frame i and in frame j: put your own detector's here."""
+    body = ellipsoid(2000, (0.10, 0.07, 0.08), np.random.default_rng(0))
+    pair = simulate_matches(rig, body, true_motion, rng=np.random.default_rng(1), noise_px=0.3, outliers=0.2)
+    return [(c.denormalize(m.x), c.denormalize(m.y)) for c, m in zip(rig, pair.matches, strict=True)]
+
+
+def say(motion: Motion) -> None:
+    """A motion in words."""
+    print(motion.status.text)
+    if motion.motion is not None:
+        turn = np.degrees(motion.motion.rotation.as_rotvec())
+        shift = motion.motion.apply(motion.center) - motion.center
+        print("  turned by (degrees)", turn.round(2), " the centre moved by", shift.round(5))
+        sigma = np.sqrt(np.diag(motion.covariance))
+        print("  standard deviations", np.degrees(sigma[:3]).round(3), sigma[3:].round(5))
+        print("  inliers", motion.n_inliers, " residuals (px)", motion.residuals.round(2))
+
+
+rig = two_cameras()
+true_motion = random_motion(8.0, 0.02, np.random.default_rng(2))
+pixels = your_matches(rig, true_motion)
+matches = [Matches.from_pixels(c, i, j) for c, (i, j) in zip(rig, pixels, strict=True)]
+print("True turn (degrees)", np.degrees(true_motion.rotation.as_rotvec()).round(2))
+say(estimate_motion(rig, matches))
+
+if len(sys.argv) > 1:
+    session = open_session(sys.argv[1])
+    first, second = session.frames(start=0, stop=6, every=5)
+    matches = []
+    for camera, image_i, image_j in zip(session.rig, first.images, second.images, strict=True):
+        if image_i is None or image_j is None:
+            matches.append(Matches.none())
+            continue
+        a, b = detect(image_i, camera), detect(image_j, camera)  # .pixels, .normalized, .descriptors
+        pairs = match_features(a, b)
+        moved = np.linalg.norm(a.pixels[pairs[:, 0]] - b.pixels[pairs[:, 1]], axis=1) > 1.5
+        i, j = pairs[moved].T  # what stands still is background
+        matches.append(Matches(a.normalized[i], b.normalized[j]))
+        moments = PairMoments.from_matches(a.normalized[i], b.normalized[j])
+        print(f"{camera.name}: {len(i)} matches, {len(moments.to_bytes())} bytes say what this camera saw of the motion")
+    say(estimate_motion(session.rig, matches))

@@ -1,0 +1,171 @@
+"""What looks wrong with a session before it is tracked, in sentences for people."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sylpose.app.run import notes
+from sylpose.app.text import length
+from sylpose.calibration import anipose, caliscope
+from sylpose.capture import Session
+from sylpose.region import volume_from_boxes
+from sylpose.report.rigview import describe_rig, meeting_point
+from sylpose.rig import Rig
+
+__all__ = ["Place", "calibration_format", "facts", "look_at", "object_place", "warnings"]
+
+FloatArray = NDArray[np.float64]
+
+# Cameras nearer to each other than this share of their distance to the object count as one place.
+ONE_PLACE = 1e-3
+# Distances beyond this are hardly metres.
+LARGE = 200.0
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where the object is expected.
+
+    Attributes:
+        center: (3,) in the world; None when nothing tells.
+        radius: of the object, or None.
+        source: "the boxes" or "the optical axes".
+        obstacle: a sentence, when boxes are given that cannot be of one object.
+    """
+
+    center: FloatArray | None
+    radius: float | None
+    source: str
+    obstacle: str = ""
+
+
+def object_place(session: Session) -> Place:
+    """Where boxes in two or more cameras meet; without them where the optical axes do."""
+    if len(session.boxes) < 2:
+        return Place(meeting_point(session.rig), None, "the optical axes")
+    try:
+        center, points = volume_from_boxes(session.rig, session.boxes)
+    except ValueError as error:
+        return Place(meeting_point(session.rig), None, "the optical axes", str(error))
+    return Place(center, float(np.quantile(np.linalg.norm(points - center, axis=1), 0.95)), "the boxes")
+
+
+def facts(session: Session, place: Place) -> list[tuple[str, str]]:
+    """What was understood besides the cameras: label and words."""
+    rig, unit = session.rig, session.rig.unit or "not said"
+    words = [("Calibration", f"{session.calibration} ({calibration_format(session.calibration)}), length unit {unit}")]
+    stamps = np.isfinite(session.timeline.stamps).any()
+    if stamps:
+        times = f"timestamps.csv, {session.timeline.times[-1] - session.timeline.times[0]:.2f} s"
+    elif session.rate:
+        times = f"from the frame rate, {session.n_frames / session.rate:.2f} s"
+    else:
+        times = "none: the frame number is the time"
+    words.append(("Time", times))
+    boxes = ", ".join(f"{name} {box.width:.0f}x{box.height:.0f}" for name, box in session.boxes.items())
+    words.append(("Boxes", boxes or "none: the object is what moves"))
+    words.append(("Masks", "none" if session.masks is None else str(session.masks)))
+    if place.center is None:
+        where = "not known"
+    else:
+        at = ", ".join(f"{value:.3g}" for value in place.center)
+        where = f"where {place.source} meet, ({at})"
+        if place.source == "the optical axes":
+            off = [np.linalg.norm(np.cross(place.center - c.center, c.direction)) for c in rig]
+            where += f", to within {length(float(max(off)), rig.unit)}"
+        elif place.radius:
+            where += f", radius about {length(place.radius, rig.unit)}"
+    words.append(("Object", where))
+    return words
+
+
+def warnings(session: Session, place: Place) -> list[str]:
+    """All that looks wrong but can be worked with, or at least tried."""
+    return [*notes(session), *look_at(session.rig, place), *_boxes(session, place)]
+
+
+def look_at(rig: Rig, place: Place) -> list[str]:
+    """What looks wrong with how the cameras stand and look."""
+    if len(rig) == 1:
+        return ["One camera only: how far the object moves cannot be told, only in units of its first distance."]
+    found = []
+    rows = describe_rig(rig, place.center)
+    spread = max(max(row.angles) for row in rows)
+    if place.center is None:
+        if spread > 5.0:
+            found.append(
+                "The cameras look away from each other: their optical axes come near no common point in front of them. "
+                "Are the calibration's poses the inverse of camera_from_world?"
+            )
+    else:
+        blind = [row.name for row, camera in zip(rows, rig, strict=True) if not _sees(rig, camera.name, place.center)]
+        if blind:
+            at = "the place where the boxes meet" if place.source == "the boxes" else "the place where the axes meet"
+            rest = "it" if len(blind) == 1 else "they"
+            look = "looks" if len(blind) == 1 else "look"
+            found.append(f"{', '.join(blind)}: {at} is not in the image; {rest} {look} elsewhere.")
+    reach = max(max(row.baselines) for row in rows)
+    if place.center is not None:
+        reach = float(np.median([row.distance for row in rows]))
+    pairs = [
+        f"{row.name} and {other.name}"
+        for i, row in enumerate(rows)
+        for j, other in enumerate(rows[:i])
+        if row.baselines[j] <= ONE_PLACE * reach
+    ]
+    if pairs:
+        found.append(
+            f"At one place: {', '.join(pairs[:5])}{', ...' if len(pairs) > 5 else ''}. From one place alone how far the "
+            "object moves cannot be told."
+        )
+    if reach > LARGE and rig.unit in ("", "m"):
+        found.append(
+            f"Distances of {reach:.0f} {'m' if rig.unit else 'units'}: the calibration is probably in millimetres; "
+            "all lengths come out in its unit."
+        )
+    return found
+
+
+def _sees(rig: Rig, name: str, point: FloatArray) -> bool:
+    pixel = rig[name].project(point)[0]
+    return bool(np.isfinite(pixel).all() and (pixel >= 0).all() and (pixel <= np.array(rig[name].size) - 1).all())
+
+
+def _boxes(session: Session, place: Place) -> list[str]:
+    boxes, found = session.boxes, []
+    if len(boxes) == 1 and len(session.rig) > 1:
+        found.append(
+            f"A box in one camera only ({next(iter(boxes))}): it does not tell how far away the object is; give one in "
+            "each camera that sees it."
+        )
+    if place.source == "the boxes" and place.center is not None:
+        for name, box in boxes.items():
+            offset = session.rig[name].project(place.center)[0] - [box.x + box.width / 2, box.y + box.height / 2]
+            if not (np.abs(offset) <= [box.width / 2, box.height / 2]).all():
+                found.append(
+                    f"The box of {name} does not fit the others: the place where they meet is "
+                    f"{np.linalg.norm(offset):.0f} px from its middle."
+                )
+    first = session.timeline.frames[0]
+    late = [name for name, frame in zip(session.rig.names, first, strict=True) if name in boxes and frame < 0]
+    if late:
+        found.append(f"{', '.join(late)}: a box for the first frame, in which this camera has no image.")
+    return found
+
+
+def calibration_format(path: Path) -> str:
+    """The format of a calibration that `calibration.load` has read, in words."""
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except tomllib.TOMLDecodeError:
+        return "OpenCV FileStorage"
+    if "format" in data:
+        return "sylpose TOML"
+    if caliscope.is_caliscope(data):
+        return "Caliscope TOML"
+    return "Anipose TOML" if anipose.is_anipose(data) else "TOML"

@@ -1,0 +1,244 @@
+"""What the commands print: facts, tables, warnings and the progress bar."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from sylpose.app.run import Run
+from sylpose.capture import Session
+from sylpose.results import FramePose, Status, Trajectory
+from sylpose.tracking import TrackedFrame
+
+if TYPE_CHECKING:  # rigview loads matplotlib
+    from sylpose.app.demo import Score
+    from sylpose.report.rigview import CameraView
+
+__all__ = [
+    "RIG_HEADER",
+    "TrackingProgress",
+    "headline",
+    "length",
+    "make_console",
+    "print_facts",
+    "print_files",
+    "print_score",
+    "print_summary",
+    "print_table",
+    "print_warnings",
+    "rig_rows",
+    "solved",
+]
+
+SHOWN_WARNINGS = 12
+LABEL = 14
+
+
+def make_console(*, stderr: bool = False) -> Console:
+    """A console that never breaks lines where nobody looks at them: in files and pipes."""
+    console = Console(stderr=stderr, highlight=False, emoji=False, markup=False)
+    if not console.is_terminal:
+        console.width = 10_000
+    return console
+
+
+def print_facts(console: Console, facts: Iterable[tuple[str, str]]) -> None:
+    """Lines of a label and what there is to say."""
+    for label, value in facts:
+        _print_entry(console, f"{label:{LABEL}}", "dim", value)
+
+
+def print_files(console: Console, label: str, files: Sequence[Path]) -> None:
+    """Paths whole on their lines, to be copied."""
+    for i, file in enumerate(files):
+        console.print(Text.assemble((f"{label if i == 0 else '':{LABEL}}", "dim"), str(file)), soft_wrap=True)
+
+
+def print_warnings(console: Console, sentences: Sequence[str]) -> None:
+    """A line each, the first dozen of them."""
+    for sentence in sentences[:SHOWN_WARNINGS]:
+        _print_entry(console, "! ", "bold yellow", sentence)
+    if len(sentences) > SHOWN_WARNINGS:
+        _print_entry(console, "! ", "bold yellow", f"and {len(sentences) - SHOWN_WARNINGS} more")
+
+
+def _print_entry(console: Console, label: str, style: str, words: str) -> None:
+    """Words with a hanging indent; not Rich's own wrapping, which breaks paths and fills lines with spaces."""
+    width = max(console.width - len(label), 20)
+    lines = textwrap.wrap(words, width, break_long_words=False, break_on_hyphens=False) or [""]
+    text = Text.assemble((label, style), f"\n{'':{len(label)}}".join(lines))
+    console.print(text, soft_wrap=True)
+
+
+def print_table(console: Console, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """A table whose first column is names and whose others are numbers."""
+    table = Table(box=None, padding=(0, 3, 0, 0), header_style="dim", pad_edge=False)
+    for i, name in enumerate(header):
+        table.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+
+
+def length(value: float, unit: str) -> str:
+    """A length for people, to three digits: millimetres below one metre."""
+    if unit == "m" and value < 1:
+        value, unit = 1000 * value, "mm"
+    digits = 2 - math.floor(math.log10(value)) if value > 0 else 0
+    return f"{value:.{min(max(digits, 0), 9)}f} {unit or 'units'}"
+
+
+def headline(session: Session) -> Text:
+    """The session's name, cameras, frames and rate in one line."""
+    rate = f" at {session.rate:.4g} per second" if session.rate else ""
+    cameras = f"{len(session.rig)} camera{'s' if len(session.rig) > 1 else ''}"
+    frames = f"{session.n_frames} frame{'s' if session.n_frames > 1 else ''}"
+    return Text.assemble((session.path.resolve().name, "bold"), f": {cameras}, {frames}{rate}")
+
+
+class TrackingProgress:
+    """A progress bar on stderr, nothing when that is no terminal: frames, frames per second, inliers.
+
+    A context manager; `update` is what `track_session` takes as `on_frame`.
+    """
+
+    def __init__(self, cameras: int, frames: int) -> None:
+        self.done = 0
+        console = make_console(stderr=True)
+        self._progress = Progress(
+            TextColumn("Tracking"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn(f"{cameras} camera{'s' if cameras > 1 else ''}"),
+            TextColumn("{task.fields[rate]}"),
+            TextColumn("{task.fields[inliers]}"),
+            TimeRemainingColumn(compact=True),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._progress.add_task("", total=frames, rate="", inliers="")
+
+    def __enter__(self) -> TrackingProgress:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """Takes the bar away; twice does no harm."""
+        self._progress.stop()
+
+    def update(self, tracked: TrackedFrame) -> None:
+        """One frame more."""
+        self.done += 1
+        pose = tracked.pose
+        inliers = f"{int(pose.inliers.sum())} inliers" if pose.status.has_pose else pose.status.value
+        elapsed = self._progress.tasks[0].elapsed
+        rate = f"{self.done / elapsed:.1f} frames/s" if elapsed else ""
+        self._progress.update(self._task, advance=1, rate=rate, inliers=inliers)
+
+
+def print_summary(console: Console, run: Run) -> None:
+    """What was found, how well, how long it took and where it is."""
+    trajectory = run.trajectory
+    print_facts(console, _findings(trajectory))
+    console.print()
+    print_table(console, ("Camera", "frames used", "inliers", "residual"), _per_camera(trajectory))
+    console.print()
+    if run.problems:
+        print_warnings(console, run.problems)
+        console.print()
+    total = sum(run.seconds.values())
+    parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in run.seconds.items())
+    print_facts(console, [("Time", f"{total:.1f} s, {len(trajectory) / total:.1f} frames per second: {parts}")])
+    print_files(console, "Files", run.files)
+
+
+def print_score(console: Console, result: Score, unit: str) -> None:
+    """The demo's errors at the end and at their worst."""
+    found = result.total - result.missing
+    console.print(Text.assemble(("Against the truth", "bold"), f", motion since the first of {found} frames"))
+    rows = [
+        ["turn", *(f"{value:.2f}°" for value in (result.rotation[-1], result.rotation.max()))],
+        ["position", *(length(value, unit) for value in (result.displacement[-1], result.displacement.max()))],
+    ]
+    print_table(console, ("Error", "at the end", "worst"), rows)
+
+
+def solved(trajectory: Trajectory) -> list[FramePose]:
+    """The frames whose pose was found and is not a definition."""
+    return [f for f in trajectory if f.world_from_object is not None and f.status is not Status.FIRST]
+
+
+def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
+    posed = [f for f in trajectory if f.world_from_object is not None]
+    facts = [("Solved", f"{len(posed)} of {len(trajectory)} frames")]
+    reasons = Counter(f.status for f in trajectory if f.world_from_object is None)
+    if reasons:
+        facts.append(("Not solved", ", ".join(f"{n} {status.value}" for status, n in reasons.most_common())))
+    if len(posed) < 2:
+        return facts
+    turn = np.degrees(trajectory.turn[trajectory.solved])
+    facts.append(("Turned", f"{turn[-1]:.1f}° from the first to the last of them, at most {turn.max():.1f}°"))
+    positions = trajectory.positions[trajectory.solved]
+    moved = length(float(np.linalg.norm(positions[-1] - positions[0])), trajectory.unit)
+    path = length(float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()), trajectory.unit)
+    facts.append(("Moved", f"{moved} from the first to the last of them, along a path of {path}"))
+    one_camera = len(trajectory.camera_names) == 1
+    open_scale = sum(f.status is Status.SCALE_NOT_OBSERVABLE for f in trajectory)
+    if one_camera:
+        facts.append(("Scale", "not observable with one camera: lengths are in units of the object's first distance"))
+    elif open_scale:
+        facts.append(("Scale", f"not observable in {open_scale} frames: how far the object moved in them is not known"))
+    return facts
+
+
+def _per_camera(trajectory: Trajectory) -> list[list[str]]:
+    frames = solved(trajectory)
+    rows = []
+    for c, name in enumerate(trajectory.camera_names):
+        used = [f for f in frames if f.inliers[c] > 0]
+        inliers = f"{np.median([f.inliers[c] for f in used]):.0f}" if used else "-"
+        residuals = np.array([f.residuals[c] for f in used])
+        residuals = residuals[np.isfinite(residuals)]
+        residual = f"{np.median(residuals):.2f} px" if len(residuals) else "-"
+        rows.append([name, str(len(used)), inliers, residual])
+    return rows
+
+
+RIG_HEADER = ("Camera", "file", "size", "frames", "rate", "field of view", "distance", "off axis", "to other axes")
+
+
+def rig_rows(session: Session, views: Sequence[CameraView]) -> list[list[str]]:
+    """`sylpose check`'s table: a row per camera."""
+    unit = session.rig.unit
+    rows = []
+    for i, (source, view) in enumerate(zip(session.sources, views, strict=True)):
+        others = [angle for j, angle in enumerate(view.angles) if j != i]
+        known = np.isfinite(view.distance)
+        rows.append(
+            [
+                view.name,
+                source.path.name + ("/" if source.kind == "images" else ""),
+                f"{view.size[0]}x{view.size[1]}",
+                str(source.n_frames),
+                f"{source.rate:.4g}" if source.rate else "-",
+                f"{view.field_of_view[0]:.0f}° x {view.field_of_view[1]:.0f}°",
+                length(view.distance, unit) if known else "-",
+                f"{view.off_axis:.0f}°" if known else "-",
+                f"{min(others):.0f}° to {max(others):.0f}°" if others else "-",
+            ]
+        )
+    return rows
