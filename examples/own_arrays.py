@@ -31,7 +31,7 @@ def two_cameras() -> Rig:
 
 def your_matches(rig: Rig, true_motion: RigidTransform) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Per camera the pixels (n, 2) of n features in frame i and in frame j: put your own detector's here."""
-    body = ellipsoid(2000, (0.10, 0.07, 0.08), np.random.default_rng(0))
+    body = ellipsoid((0.10, 0.07, 0.08), 2000)
     pair = simulate_matches(rig, body, true_motion, rng=np.random.default_rng(1), noise_px=0.3, outliers=0.2)
     return [(c.denormalize(m.x), c.denormalize(m.y)) for c, m in zip(rig, pair.matches, strict=True)]
 
@@ -69,5 +69,7 @@ if len(sys.argv) > 1:
         i, j = pairs[moved].T  # what stands still is background
         matches.append(Matches(a.normalized[i], b.normalized[j]))
         moments = PairMoments.from_matches(a.normalized[i], b.normalized[j])
-        print(f"{camera.name}: {len(i)} matches, {len(moments.to_bytes())} bytes say what this camera saw of the motion")
+        print(
+            f"{camera.name}: {len(i)} matches, {len(moments.to_bytes())} bytes say what this camera saw of the motion"
+        )
     say(estimate_motion(session.rig, matches))

@@ -47,6 +47,7 @@ class Sights:
         image: (n, 2) normalised points in the current frame.
         feature: (n,) which feature of the current frame each is about. A feature may be matched with landmarks of several
             references: they then share its weight, and one that contradicts the pose takes all of them with it.
+        trust: (n,) in (0, 1], multiplies the weights.
         rotation: (3, 3) Q of camera_from_world.
         center: (3,) the camera's centre relative to g.
         focal: pixels per normalised unit.
@@ -56,6 +57,7 @@ class Sights:
     depth_error: FloatArray
     image: FloatArray
     feature: NDArray[np.int64]
+    trust: FloatArray
     rotation: FloatArray
     center: FloatArray
     focal: float
@@ -191,7 +193,8 @@ def _weights(sight: Sights, distance: FloatArray) -> FloatArray:
     n = int(sight.feature.max(initial=-1)) + 1
     least = np.ones(n)
     np.minimum.at(least, sight.feature, w)
-    return np.asarray((least / np.maximum(np.bincount(sight.feature, minlength=n), 1))[sight.feature])
+    shared = least / np.maximum(np.bincount(sight.feature, minlength=n), 1)
+    return np.asarray(shared[sight.feature] * sight.trust)
 
 
 def _across(e: FloatArray, inverse: FloatArray, focal: float) -> FloatArray:

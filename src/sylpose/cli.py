@@ -227,7 +227,7 @@ def _track(
 
 
 def _why_nothing(session: Session, run: Run) -> str:
-    statuses = [frame.status for frame in run.trajectory if not frame.status.has_pose]
+    statuses = [frame.status for frame in run.trajectory if frame.world_from_object is None]
     if not statuses:
         return "no motion could be found: there is only the first frame, to which all motion is relative"
     said = f"no frame could be solved. {max(statuses, key=statuses.count).text}"

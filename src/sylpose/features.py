@@ -8,16 +8,21 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from sylpose.rig import Camera
 
-__all__ = ["Features", "Matches", "detect", "match_features"]
+__all__ = ["Features", "Matches", "detect", "match_features", "seen_before"]
 
 FloatArray = NDArray[np.float64]
 
 # SIFT looks at a patch of about this many pixels around a keypoint; a crop is padded by it.
 CROP_MARGIN_PX = 24
 MAX_FEATURES = 2000
+# A feature displaced by less than this, in pixels, stands still for all that two keypoints can tell.
+STILL_PX = 1.5
+# Cosine of two RootSIFT descriptors of the same thing seen again; unrelated ones stay below about 0.7.
+SAME_LOOK = 0.85
 
 _cv2: Any = cv2  # its type stubs lack SIFT
 
@@ -77,8 +82,8 @@ class Features:
     def __len__(self) -> int:
         return len(self.pixels)
 
-    def subset(self, index: NDArray[np.int64]) -> Features:
-        """The keypoints that an index array picks."""
+    def subset(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Features:
+        """The keypoints that a mask or an index array picks."""
         return Features(self.pixels[index], self.normalized[index], self.descriptors[index])
 
     @classmethod
@@ -149,6 +154,15 @@ def match_features(a: Features, b: Features, ratio: float = 0.8, max_shift_px: f
     places = np.round(np.concatenate([a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]]], axis=1), 1)
     _, first = np.unique(places, axis=0, return_index=True)
     return np.asarray(pairs[np.sort(first)])
+
+
+def seen_before(features: Features, earlier: Features) -> NDArray[np.bool_]:
+    """(n,) features that an earlier frame of the same camera has at the same place with the same look."""
+    if len(features) == 0 or len(earlier) == 0:
+        return np.zeros(len(features), bool)
+    gap, nearest = cKDTree(earlier.pixels).query(features.pixels, 3, distance_upper_bound=STILL_PX)
+    similar = np.einsum("nd,nkd->nk", features.descriptors, earlier.descriptors[np.minimum(nearest, len(earlier) - 1)])
+    return np.asarray((np.isfinite(gap) & (similar > SAME_LOOK)).any(axis=1))
 
 
 def _best_with_ratio(similarity: NDArray[np.float32], ratio: float) -> NDArray[np.int64]:

@@ -7,6 +7,7 @@ places are fused by adding information, whatever the order (docs/method.md, "Bet
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,10 +37,27 @@ class Landmarks:
     Attributes:
         mean: (n, 3).
         information: (n, 3, 3), the inverse covariances.
+        seen: (n,) in how many frames each was seen.
     """
 
     mean: FloatArray
     information: FloatArray
+    seen: NDArray[np.int64]
+
+    @classmethod
+    def none(cls) -> Landmarks:
+        """No landmarks."""
+        return cls(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0, np.int64))
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Landmarks]) -> Landmarks:
+        """All parts after each other."""
+        parts = [cls.none(), *parts]
+        return cls(
+            np.concatenate([p.mean for p in parts]),
+            np.concatenate([p.information for p in parts]),
+            np.concatenate([p.seen for p in parts]),
+        )
 
     def __len__(self) -> int:
         return len(self.mean)
@@ -52,7 +70,7 @@ class Landmarks:
 
     def subset(self, index: NDArray[np.int64] | BoolArray) -> Landmarks:
         """Those that a mask or an index array picks."""
-        return Landmarks(self.mean[index], self.information[index])
+        return Landmarks(self.mean[index], self.information[index], self.seen[index])
 
 
 def rays(features: Features, camera: Camera, object_from_world: RigidTransform) -> tuple[FloatArray, FloatArray]:
@@ -71,7 +89,8 @@ def new_landmarks(
     mean = center + distance[:, None] * directions
     along = directions[:, :, None] * directions[:, None, :]
     across = (camera.focal / (RAY_SIGMA_PX * distance)) ** 2
-    return Landmarks(mean, across[:, None, None] * (np.eye(3) - along) + along / (sd**2)[:, None, None])
+    information = across[:, None, None] * (np.eye(3) - along) + along / (sd**2)[:, None, None]
+    return Landmarks(mean, information, np.ones(len(mean), np.int64))
 
 
 def seen_again(known: Landmarks, features: Features, camera: Camera, object_from_world: RigidTransform) -> Landmarks:
@@ -82,7 +101,7 @@ def seen_again(known: Landmarks, features: Features, camera: Camera, object_from
     ray = across[:, None, None] * (np.eye(3) - directions[:, :, None] * directions[:, None, :])
     information = known.information + ray
     right = np.einsum("nij,nj->ni", known.information, known.mean) + ray @ center
-    return Landmarks(np.linalg.solve(information, right[..., None])[..., 0], information)
+    return Landmarks(np.linalg.solve(information, right[..., None])[..., 0], information, known.seen + 1)
 
 
 def depth_prior(
@@ -128,4 +147,5 @@ def learn_landmarks(
     if len(index):
         again = seen_again(known, features.subset(index), camera, object_from_world)
         landmarks.mean[index], landmarks.information[index] = again.mean, again.information
+        landmarks.seen[index] = again.seen
     return landmarks

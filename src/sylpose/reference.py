@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.epipolar import TermData
-from sylpose.features import Features, match_features
+from sylpose.features import STILL_PX, Features, match_features
 from sylpose.landmarks import Landmarks
 from sylpose.rig import Rig
 
@@ -19,8 +19,6 @@ __all__ = ["Pair", "Reference", "learn", "match_pair", "still", "triangulate"]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# A feature displaced by less than this, in pixels, stands still for all that two keypoints can tell.
-STILL_PX = 1.5
 # A feature that stands still where the object's surface moved by this much is background.
 BACKGROUND_PX = 4.0
 # Points are added to the object's cloud when their depth is known to this share of it.
@@ -102,11 +100,12 @@ def match_pair(reference: Reference, current: Reference, camera: int) -> Pair:
     """Matches of one camera, without the reference's known background (which is passed on to the current frame)."""
     a, b = reference.features[camera], current.features[camera]
     indices = match_features(a, b)
-    background = reference.background[camera][indices[:, 0]]
+    known = reference.background[camera][indices[:, 0]]
     standing = np.linalg.norm(a.pixels[indices[:, 0]] - b.pixels[indices[:, 1]], axis=1) < STILL_PX
-    current.background[camera][indices[background & standing, 1]] = True
-    i, j = indices[~background].T
-    return Pair(camera, reference, indices[~background], a.pixels[i], b.pixels[j], a.normalized[i], b.normalized[j])
+    current.background[camera][indices[known & standing, 1]] = True
+    indices = indices[~known & ~current.background[camera][indices[:, 1]]]
+    i, j = indices.T
+    return Pair(camera, reference, indices, a.pixels[i], b.pixels[j], a.normalized[i], b.normalized[j])
 
 
 def still(pair: Pair) -> BoolArray:

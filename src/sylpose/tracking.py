@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.alignment import Sights, align
 from sylpose.capture import Box, FrameSet
 from sylpose.epipolar import TermData
-from sylpose.features import Features, detect
+from sylpose.features import Features, detect, seen_before
 from sylpose.landmarks import Landmarks, learn_landmarks
 from sylpose.motion import MIN_MATCHES, Fit, fit_terms, no_fit, object_place
 from sylpose.reference import Pair, Reference, learn, match_pair, still, triangulate
@@ -36,6 +36,8 @@ LAGS = (1, 3, 8, 16)
 METHODS = ("landmarks", "epipolar", "sylvester")
 # Without boxes nothing is known of the object until it moves: so many frames wait for that, with their images.
 PATIENCE = 10
+# Margin of the object's region, as a share of its size in the image; it grows while the object is lost.
+REGION_GROWTH = 0.15
 # Object points kept to follow the object's region.
 MAX_VOLUME_POINTS = 1500
 
@@ -109,6 +111,7 @@ class Tracker:
         self._points = np.empty((0, 3))  # object's frame: the cloud whose image is the object's region
         self._radius = np.nan
         self._center: FloatArray | None = None  # of the object in the first frame, world
+        self._surroundings = [Features.none()] * len(rig)  # the first frame's features outside the object's region
         self._bounded = bool(boxes)  # boxes bound the object; without them its region grows with what is found on it
         if boxes:
             self._center, points = volume_from_boxes(rig, boxes)
@@ -137,6 +140,7 @@ class Tracker:
         images = zip(self.rig, frames.images, frames.masks, regions, strict=True)
         features = tuple(self._pool.map(lambda job: self._detect(*job), images))
         current = Reference.new(frames.index, features)
+        current.background = tuple(seen_before(f, s) for f, s in zip(features, self._surroundings, strict=True))
         if self._solved:
             return [self._follow(current, frames, regions)]
         if self._center is not None:
@@ -148,12 +152,25 @@ class Tracker:
         waiting, self._waiting = self._waiting, []
         return [self._unsolved(frames, Status.NO_MOTION) for _, frames in waiting]
 
+    def _split_first(self, first: Reference) -> Reference:
+        """Parts the first frame's features into the object's and the surroundings', which stay where they are."""
+        inside = []
+        for c, (camera, features) in enumerate(zip(self.rig, first.features, strict=True)):
+            region = region_polygon(camera, self._points + self._center, growth=REGION_GROWTH)
+            mask = np.zeros(len(features), bool)
+            if region is not None and len(features):
+                place = np.round(features.pixels).astype(np.int64)
+                mask = polygon_mask(region, camera.size)[place[:, 1], place[:, 0]]
+            self._surroundings[c] = features.subset(~mask)
+            inside.append(features.subset(mask))
+        return Reference.new(first.index, tuple(inside))
+
     def _detect(
         self, camera: Camera, image: NDArray[np.uint8] | None, mask: BoolArray | None, region: FloatArray | None
     ) -> Features:
         if image is None:
             return Features.none()
-        if self._center is None:
+        if self._center is None or not self._solved:
             return detect(image, camera, mask)
         if region is None:
             return Features.none()
@@ -174,13 +191,14 @@ class Tracker:
         if self._center is None:
             return [None] * len(self.rig)
         points = self._points + self._center if predicted is None else predicted.apply(self._points)
-        return [region_polygon(camera, points, growth=0.15 * (1 + self._lost)) for camera in self.rig]
+        return [region_polygon(camera, points, growth=REGION_GROWTH * (1 + self._lost)) for camera in self.rig]
 
     # --- the start ---------------------------------------------------------------------------------------------------
 
     def _first(self, current: Reference, frames: FrameSet, regions: Regions) -> TrackedFrame:
         """The frame whose pose is the definition of the object's frame."""
         assert self._center is not None
+        current = self._split_first(current)
         current.world_from_object = RigidTransform.from_translation(self._center)
         self._learn_landmarks(current, [], [])
         self._solved.append(current)
@@ -300,11 +318,12 @@ class Tracker:
         sights = []
         for c, camera in enumerate(self.rig):
             mine = [pair for pair in pairs if pair.camera == c]
-            known = [pair.reference.landmarks[c].subset(pair.indices[:, 0]) for pair in mine]
+            known = Landmarks.concatenate([pair.reference.landmarks[c].subset(pair.indices[:, 0]) for pair in mine])
             index = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in mine)])
-            mean = np.concatenate([np.empty((0, 3)), *(k.mean for k in known)])
-            error = turn.apply(np.concatenate([np.empty((0, 3)), *(k.depth_error for k in known)])).reshape(-1, 3)
-            points = turn.apply(mean).reshape(-1, 3)
+            error = turn.apply(known.depth_error).reshape(-1, 3)
+            points = turn.apply(known.mean).reshape(-1, 3)
+            # What has moved along for long deserves more trust than what has just come into view (a hand, say).
+            trust = np.minimum(known.seen / np.quantile(known.seen, 0.75), 1.0) ** 2 if len(known) else np.empty(0)
             away = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
             sights.append(
                 Sights(
@@ -312,6 +331,7 @@ class Tracker:
                     error * away[:, None],
                     current.features[c].normalized[index],
                     index,
+                    trust,
                     camera.rotation,
                     camera.center - center,
                     camera.focal,
@@ -409,16 +429,14 @@ def best_landmarks(pairs: Sequence[Pair], camera: int) -> tuple[NDArray[np.int64
     """
     mine = [pair for pair in pairs if pair.camera == camera and len(pair)]
     if not mine:
-        return np.empty(0, np.int64), Landmarks(np.empty((0, 3)), np.empty((0, 3, 3)))
-    known = [pair.reference.landmarks[camera].subset(pair.indices[:, 0]) for pair in mine]
+        return np.empty(0, np.int64), Landmarks.none()
+    known = Landmarks.concatenate([pair.reference.landmarks[camera].subset(pair.indices[:, 0]) for pair in mine])
     index = np.concatenate([pair.indices[:, 1] for pair in mine])
-    mean = np.concatenate([k.mean for k in known])
-    information = np.concatenate([k.information for k in known])
-    weakest = np.linalg.eigvalsh(information)[:, 0]
+    weakest = np.linalg.eigvalsh(known.information)[:, 0]
     order = np.lexsort([-weakest, index])
     _, first = np.unique(index[order], return_index=True)
     pick = order[first]
-    return index[pick], Landmarks(mean[pick], information[pick])
+    return index[pick], known.subset(pick)
 
 
 def motion_about(center: FloatArray, fit: Fit) -> RigidTransform:
