@@ -293,11 +293,13 @@ def test_interrupt_keeps_what_is_computed(session: Path, how: signal.Signals) ->
     if how == signal.SIGINT:
         assert process.returncode == 130
         (sentence,) = err.strip().splitlines()
-        assert sentence == (
-            f"sylpose: interrupted after {len(trajectory)} of 1000 frames; what was computed is in {out}"
-        )
+        # An interrupt may come between a frame's line in the CSV and whatever follows.
+        said = re.fullmatch(r"sylpose: interrupted after (\d+) of 1000 frames; what was computed is in (.*)", sentence)
+        assert said is not None
+        assert len(trajectory) - int(said[1]) in (0, 1)
+        assert said[2] == str(out)
         assert cv2.imread(str(out / "report.png")) is not None
-        assert n_video_frames(out / "overlay.mp4") == len(trajectory)
+        assert len(trajectory) - n_video_frames(out / "overlay.mp4") in (0, 1)
 
 
 def test_a_bug_keeps_what_is_computed_and_its_traceback(
@@ -382,7 +384,10 @@ def test_no_calibration_or_two(run: Command, session: Path) -> None:
     (session / "calibration_old.toml").unlink()
     (session / "calibration.toml").rename(session / "lenses.toml")
     assert "no calibration" in one_sentence(run("track", session))
-    assert run("check", session, "--calibration", session / "lenses.toml").code == 0
+    (session / "cam_1.mp4").rename(session / "1.mp4")
+    result = run("check", session, "--calibration", session / "lenses.toml")
+    assert result.code == 0, result.err
+    assert "cam_1 (1.mp4)" in result.out  # names are matched tolerantly, and it is said which
 
 
 def test_camera_without_video_and_video_without_camera(run: Command, session: Path) -> None:
@@ -496,7 +501,6 @@ def test_check_says_what_was_understood(run: Command, recording: Path, tmp_path:
     assert result.code == 0, result.err
     for words in (
         "3 cameras, 12 frames at 30 per second",
-        "cam_1.mp4",
         "320x240",
         "sylpose TOML",
         "boxes meet",
@@ -546,7 +550,8 @@ def test_cameras_that_look_away_from_each_other() -> None:
         Camera(c.name, c.size, c.matrix, c.distortion, c.camera_from_world.inv())
         for c in (camera("a", (0.3, 0.2, -1), (0, 0, 0)), camera("b", (1, 0.1, 0.2), (0, 0, 0)))
     ]
-    assert any("look" in said for said in look_warnings(inverted))
+    (said,) = look_warnings(inverted)
+    assert "seems to hold world_from_camera" in said
 
 
 def test_one_camera_that_looks_elsewhere_is_named() -> None:

@@ -99,7 +99,7 @@ def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, fir
     surface = np.zeros((len(sights), 3))
     basis = [_basis(sight) for sight in sights]
     trusted = np.ones(len(sights), dtype=bool)
-    previous = np.zeros(6)
+    previous: FloatArray = np.zeros(6)
     converged = False
     iteration = 0
     for iteration in range(MAX_ROUNDS):
@@ -134,7 +134,7 @@ def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, fir
             ratio = float(step @ hessian @ previous) / max(float(previous @ hessian @ previous), 1e-300)
             previous = step
             if iteration >= len(schedule) + SIGMA_ROUNDS and iteration % 3 == 2:
-                step = step / (1.0 - np.clip(ratio, 0.0, 0.85))
+                step = step / (1.0 - np.clip(ratio, -1.0, 0.85))
         step = step / max(1.0, float(np.linalg.norm(step[:3])) / 0.5)
         for c, (h, b) in enumerate(blocks):
             surface[c] -= np.linalg.solve(h[6:, 6:], b[6:] + h[6:, :6] @ step)

@@ -68,6 +68,11 @@ class Landmarks:
         values, vectors = np.linalg.eigh(self.information)
         return np.asarray(vectors[:, :, 0] / np.sqrt(np.maximum(values[:, :1], 1e-30)))
 
+    @property
+    def depth_sd(self) -> FloatArray:
+        """(n,) standard deviation in that direction."""
+        return np.asarray(1.0 / np.sqrt(np.maximum(np.linalg.eigvalsh(self.information)[:, 0], 1e-30)))
+
     def subset(self, index: NDArray[np.int64] | BoolArray) -> Landmarks:
         """Those that a mask or an index array picks."""
         return Landmarks(self.mean[index], self.information[index], self.seen[index])

@@ -14,7 +14,7 @@ from sylpose.features import STILL_PX, Features, match_features
 from sylpose.landmarks import Landmarks
 from sylpose.rig import Rig
 
-__all__ = ["Pair", "Reference", "learn", "match_pair", "still", "triangulate"]
+__all__ = ["Pair", "Reference", "inliers_of", "learn_background", "match_pair", "still", "triangulate"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -46,9 +46,9 @@ class Reference:
     covariance: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
 
     @classmethod
-    def new(cls, index: int, features: tuple[Features, ...]) -> Reference:
-        """A frame that is not solved yet."""
-        return cls(index, features, tuple(np.zeros(len(f), bool) for f in features))
+    def new(cls, index: int, features: tuple[Features, ...], world_from_object: RigidTransform) -> Reference:
+        """A frame at a known pose, none of whose features is known to be background."""
+        return cls(index, features, tuple(np.zeros(len(f), bool) for f in features), (), world_from_object)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +85,11 @@ class Pair:
             normalized_j=self.normalized_j[mask],
         )
 
-    def term(self, rig: Rig, base: Reference | None) -> TermData:
-        """The matches as a term of the motion that starts at `base` (None: at the pair's own reference)."""
+    def term(self, rig: Rig, base: Reference) -> TermData:
+        """The matches as a term of the motion that starts at the frame `base`."""
         camera = rig.cameras[self.camera]
         moved = None
-        if base is not None and base is not self.reference:
+        if base is not self.reference:
             moved = base.world_from_object * self.reference.world_from_object.inv()
         ones = np.ones((len(self), 1))
         x, y = np.hstack([self.normalized_i, ones]), np.hstack([self.normalized_j, ones])
@@ -108,12 +108,18 @@ def match_pair(reference: Reference, current: Reference, camera: int) -> Pair:
     return Pair(camera, reference, indices, a.pixels[i], b.pixels[j], a.normalized[i], b.normalized[j])
 
 
+def inliers_of(pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> list[Pair]:
+    """The pairs' inliers, given one weight array per pair; pairs without any are left out."""
+    kept = [pair.subset(w > 0) for pair, w in zip(pairs, weights, strict=True)]
+    return [pair for pair in kept if len(pair)]
+
+
 def still(pair: Pair) -> BoolArray:
     """(n,) matches that stand still in the image."""
     return np.asarray(np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1) < STILL_PX)
 
 
-def learn(pairs: Sequence[Pair], rig: Rig, current: Reference, radius: float) -> None:
+def learn_background(pairs: Sequence[Pair], rig: Rig, current: Reference, radius: float) -> None:
     """Marks features as background in both frames: those that stand still where a point on the object moved."""
     for pair in pairs:
         camera = rig.cameras[pair.camera]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +58,12 @@ def object_place(session: Session) -> Place:
 def facts(session: Session, place: Place) -> list[tuple[str, str]]:
     """What was understood besides the cameras: label and words."""
     rig, unit = session.rig, session.rig.unit or "not said"
-    words = [("Calibration", f"{session.calibration} ({calibration_format(session.calibration)}), length unit {unit}")]
+    calibration = session.calibration
+    inside = calibration.parent.resolve() == session.path.resolve()
+    name = calibration.name if inside else str(calibration)
+    words = [("Calibration", f"{name}, {calibration_format(calibration)}, length unit {unit}")]
+    kinds = {"video": "videos", "images": "folders of images"}
+    words.append(("Recorded", " and ".join(sorted({kinds[source.kind] for source in session.sources}))))
     stamps = np.isfinite(session.timeline.stamps).any()
     if stamps:
         times = f"timestamps.csv, {session.timeline.times[-1] - session.timeline.times[0]:.2f} s"
@@ -79,7 +84,7 @@ def facts(session: Session, place: Place) -> list[tuple[str, str]]:
             off = [np.linalg.norm(np.cross(place.center - c.center, c.direction)) for c in rig]
             where += f", to within {length(float(max(off)), rig.unit)}"
         elif place.radius:
-            where += f", radius about {length(place.radius, rig.unit)}"
+            where += f", radius up to {length(place.radius, rig.unit)}"
     words.append(("Object", where))
     return words
 
@@ -98,10 +103,11 @@ def look_at(rig: Rig, place: Place) -> list[str]:
     spread = max(max(row.angles) for row in rows)
     if place.center is None:
         if spread > 5.0:
-            found.append(
-                "The cameras look away from each other: their optical axes come near no common point in front of them. "
-                "Are the calibration's poses the inverse of camera_from_world?"
-            )
+            said = "The cameras look away from each other: their axes come near no common point in front of them."
+            inverse = Rig([replace(camera, camera_from_world=camera.camera_from_world.inv()) for camera in rig])
+            if meeting_point(inverse) is not None:
+                said += " With the inverses of its poses they would: the calibration seems to hold world_from_camera."
+            found.append(said)
     else:
         blind = [row.name for row, camera in zip(rows, rig, strict=True) if not _sees(rig, camera.name, place.center)]
         if blind:

@@ -82,7 +82,7 @@ def _print_entry(console: Console, label: str, style: str, words: str) -> None:
 
 def print_table(console: Console, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """A table whose first column is names and whose others are numbers."""
-    table = Table(box=None, padding=(0, 3, 0, 0), header_style="dim", pad_edge=False)
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim", pad_edge=False)
     for i, name in enumerate(header):
         table.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
     for row in rows:
@@ -144,7 +144,8 @@ class TrackingProgress:
         """One frame more."""
         self.done += 1
         pose = tracked.pose
-        inliers = f"{int(pose.inliers.sum())} inliers" if pose.status.has_pose else pose.status.value
+        measured = pose.status.has_pose and pose.status is not Status.FIRST
+        inliers = f"{int(pose.inliers.sum())} inliers" if measured else pose.status.value
         elapsed = self._progress.tasks[0].elapsed
         rate = f"{self.done / elapsed:.1f} frames/s" if elapsed else ""
         self._progress.update(self._task, advance=1, rate=rate, inliers=inliers)
@@ -161,8 +162,8 @@ def print_summary(console: Console, run: Run) -> None:
         print_warnings(console, run.problems)
         console.print()
     total = sum(run.seconds.values())
-    parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in run.seconds.items())
-    print_facts(console, [("Time", f"{total:.1f} s, {len(trajectory) / total:.1f} frames per second: {parts}")])
+    parts = ", ".join(f"{name} {seconds:.1f}" for name, seconds in run.seconds.items())
+    print_facts(console, [("Time", f"{total:.1f} s ({parts}), {len(trajectory) / total:.1f} frames per second")])
     print_files(console, "Files", run.files)
 
 
@@ -191,7 +192,8 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
     if len(posed) < 2:
         return facts
     turn = np.degrees(trajectory.turn[trajectory.solved])
-    facts.append(("Turned", f"{turn[-1]:.1f}° from the first to the last of them, at most {turn.max():.1f}°"))
+    most = f", {turn.max():.1f}° at most" if turn.max() - turn[-1] > 0.05 else ""
+    facts.append(("Turned", f"{turn[-1]:.1f}° from the first to the last of them{most}"))
     positions = trajectory.positions[trajectory.solved]
     moved = length(float(np.linalg.norm(positions[-1] - positions[0])), trajectory.unit)
     path = length(float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()), trajectory.unit)
@@ -218,25 +220,23 @@ def _per_camera(trajectory: Trajectory) -> list[list[str]]:
     return rows
 
 
-RIG_HEADER = ("Camera", "file", "size", "frames", "rate", "field of view", "distance", "off axis", "to other axes")
+RIG_HEADER = ("Camera", "size", "frames", "field of view", "distance", "off axis", "other axes")
 
 
 def rig_rows(session: Session, views: Sequence[CameraView]) -> list[list[str]]:
-    """`sylpose check`'s table: a row per camera."""
-    unit = session.rig.unit
+    """`sylpose check`'s table, a row per camera, within 80 columns for names of usual length."""
     rows = []
     for i, (source, view) in enumerate(zip(session.sources, views, strict=True)):
+        file = source.path.name if source.kind == "images" else source.path.stem
         others = [angle for j, angle in enumerate(view.angles) if j != i]
         known = np.isfinite(view.distance)
         rows.append(
             [
-                view.name,
-                source.path.name + ("/" if source.kind == "images" else ""),
+                view.name if file == view.name else f"{view.name} ({source.path.name})",
                 f"{view.size[0]}x{view.size[1]}",
                 str(source.n_frames),
-                f"{source.rate:.4g}" if source.rate else "-",
                 f"{view.field_of_view[0]:.0f}° x {view.field_of_view[1]:.0f}°",
-                length(view.distance, unit) if known else "-",
+                length(view.distance, session.rig.unit) if known else "-",
                 f"{view.off_axis:.0f}°" if known else "-",
                 f"{min(others):.0f}° to {max(others):.0f}°" if others else "-",
             ]

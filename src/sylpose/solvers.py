@@ -1,0 +1,157 @@
+"""How the tracker finds one frame's pose from its matches with earlier frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sylpose.alignment import Aligned, Sights, align
+from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit
+from sylpose.landmarks import Landmarks
+from sylpose.motion import sylvester_fit
+from sylpose.reference import Pair, Reference
+from sylpose.results import Status
+from sylpose.rig import Rig
+
+__all__ = ["SOLVERS", "best_landmarks"]
+
+FloatArray = NDArray[np.float64]
+Hypothesis = tuple[FloatArray, FloatArray]
+# (rig, pairs, current frame, base, radius, guess of (R, d) from the base, rng) -> one weight array per pair in the fit.
+Solver = Callable[[Rig, Sequence[Pair], Reference, Reference, float, Hypothesis, np.random.Generator], Fit]
+
+# Above this mean robust cost most landmarks contradict the pose that was started from: other starts are tried.
+POOR_COST = 0.6
+
+
+def solve_epipolar(
+    rig: Rig,
+    pairs: Sequence[Pair],
+    _current: Reference,
+    base: Reference,
+    radius: float,
+    guess: Hypothesis,
+    rng: np.random.Generator,
+) -> Fit:
+    """Epipolar geometry against all references at once; what is known of the features' depth is not used."""
+    data = [pair.term(rig, base) for pair in pairs]
+    return fit_terms(data, base.world_from_object.translation, radius, [guess], rng)
+
+
+def solve_sylvester(
+    rig: Rig,
+    pairs: Sequence[Pair],
+    _current: Reference,
+    base: Reference,
+    radius: float,
+    guess: Hypothesis,
+    rng: np.random.Generator,
+) -> Fit:
+    """The paper's estimator, against the last solved frame alone; the other references are left out."""
+    center = base.world_from_object.translation
+    data = [pair.term(rig, base) for pair in pairs]
+    near = [i for i, pair in enumerate(pairs) if pair.reference is base]
+    fit = fit_terms([data[i] for i in near], center, radius, [guess], rng)
+    if fit.status is Status.OK:
+        fit = sylvester_fit([data[i] for i in near], fit, center)
+    none = no_fit(data, fit.status)
+    weights, residuals = list(none.weights), list(none.residuals)
+    for i, w, r in zip(near, fit.weights, fit.residuals, strict=True):
+        weights[i], residuals[i] = w, r
+    return fit.with_matches(weights, residuals)
+
+
+def solve_landmarks(
+    rig: Rig,
+    pairs: Sequence[Pair],
+    current: Reference,
+    base: Reference,
+    radius: float,
+    guess: Hypothesis,
+    rng: np.random.Generator,
+) -> Fit:
+    """Alignment with the landmarks of all references; from other starts where the guess is contradicted."""
+    sights = [_sights(rig, pairs, current, base, camera) for camera in range(len(rig))]
+    data = [pair.term(rig, base) for pair in pairs]
+    if sum(len(s.points) for s in sights) < MIN_MATCHES:
+        return no_fit(data, Status.TOO_FEW_MATCHES)
+    aligned = align(sights, *guess)
+    if aligned.cost > POOR_COST:
+        other = fit_terms(data, base.world_from_object.translation, radius, [guess], rng)
+        if other.status is Status.OK:
+            again = align(sights, other.rotation, other.shift, first_px=4.0)
+            aligned = min(aligned, again, key=lambda a: a.cost)
+    return _fit_of(aligned, pairs, len(rig))
+
+
+def _sights(rig: Rig, pairs: Sequence[Pair], current: Reference, base: Reference, c: int) -> Sights:
+    """One camera's matches of landmarks, carried to where the object was in the base frame."""
+    camera, mine = rig.cameras[c], [pair for pair in pairs if pair.camera == c]
+    known = Landmarks.concatenate([pair.reference.landmarks[c].subset(pair.indices[:, 0]) for pair in mine])
+    index = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in mine)])
+    turn, center = base.world_from_object.rotation, base.world_from_object.translation
+    points = turn.apply(known.mean).reshape(-1, 3)
+    error = turn.apply(known.depth_error).reshape(-1, 3)
+    away = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
+    # What has moved along for long deserves more trust than what has just come into view (a hand, say).
+    trust = np.minimum(known.seen / np.quantile(known.seen, 0.75), 1.0) ** 2 if len(known) else np.empty(0)
+    return Sights(
+        points=points,
+        depth_error=error * away[:, None],
+        image=current.features[c].normalized[index],
+        feature=index,
+        trust=trust,
+        rotation=camera.rotation,
+        center=camera.center - center,
+        focal=camera.focal,
+    )
+
+
+def _fit_of(aligned: Aligned, pairs: Sequence[Pair], n_cameras: int) -> Fit:
+    """The alignment as a fit: its per-camera arrays cut into the pairs that they were put together from."""
+    weights, residuals = [], []
+    done = [0] * n_cameras
+    for pair in pairs:
+        part = slice(done[pair.camera], done[pair.camera] + len(pair))
+        weights.append(aligned.weights[pair.camera][part])
+        residuals.append(aligned.residuals[pair.camera][part])
+        done[pair.camera] = part.stop
+    status = Status.OK if aligned.converged else Status.NOT_CONVERGED
+    if sum(int((w > 0).sum()) for w in weights) < MIN_MATCHES:
+        status = Status.NOT_CONSISTENT
+    return Fit(
+        status,
+        aligned.rotation,
+        aligned.shift,
+        tuple(weights),
+        tuple(residuals),
+        aligned.information,
+        aligned.information,
+        aligned.iterations,
+    )
+
+
+def best_landmarks(pairs: Sequence[Pair], camera: int) -> tuple[NDArray[np.int64], Landmarks]:
+    """For each feature of the current frame that is matched at all, the best known of the landmarks it is matched with.
+
+    Returns:
+        index (k,) into the current frame's features; their landmarks (k).
+    """
+    mine = [pair for pair in pairs if pair.camera == camera and len(pair)]
+    if not mine:
+        return np.empty(0, np.int64), Landmarks.none()
+    known = Landmarks.concatenate([pair.reference.landmarks[camera].subset(pair.indices[:, 0]) for pair in mine])
+    index = np.concatenate([pair.indices[:, 1] for pair in mine])
+    order = np.lexsort([known.depth_sd, index])
+    _, first = np.unique(index[order], return_index=True)
+    pick = order[first]
+    return index[pick], known.subset(pick)
+
+
+SOLVERS: dict[str, Solver] = {
+    "landmarks": solve_landmarks,
+    "epipolar": solve_epipolar,
+    "sylvester": solve_sylvester,
+}
