@@ -148,7 +148,7 @@ def test_track_says_what_it_found(tracked: tuple[Path, subprocess.CompletedProce
         "Moved",
         "cam_0",
         "cam_2",
-        "frames per second",
+        "frames/s",
         "tracking",
         *(str(out / f) for f in OUTPUTS),
     ):
@@ -608,7 +608,7 @@ def test_demo(run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
     # Again, with fewer cameras, into the same folder; a result that is not good enough is exit code 1.
     monkeypatch.setattr(demo, "MAX_ERROR_DEG", 0.0)
-    result = run("demo", *args[:-1], 2)
+    result = run("demo", "--frames", 3, "--turn", 3, "--cameras", 2)
     assert result.code == 1
     assert "did not come out right" in result.err
 

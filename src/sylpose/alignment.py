@@ -99,7 +99,7 @@ def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, fir
     surface = np.zeros((len(sights), 3))
     basis = [_basis(sight) for sight in sights]
     trusted = np.ones(len(sights), dtype=bool)
-    previous: FloatArray = np.zeros(6)
+    previous = np.zeros(6)
     converged = False
     iteration = 0
     for iteration in range(MAX_ROUNDS):
@@ -127,7 +127,7 @@ def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, fir
             gradient += b[:6] - gain.T @ b[6:]
             blocks.append((h, b))
         damping = 1e-9 * np.diag(np.diag(hessian)) + 1e-300 * np.eye(6)
-        step = -np.linalg.lstsq(hessian + damping, gradient, rcond=None)[0]
+        step: FloatArray = -np.linalg.lstsq(hessian + damping, gradient, rcond=None)[0]
         size = float(step @ hessian @ step)
         if final:
             # Re-weighting converges linearly; Aitken's extrapolation of its steps makes that a few rounds.

@@ -163,7 +163,7 @@ def print_summary(console: Console, run: Run) -> None:
         console.print()
     total = sum(run.seconds.values())
     parts = ", ".join(f"{name} {seconds:.1f}" for name, seconds in run.seconds.items())
-    print_facts(console, [("Time", f"{total:.1f} s ({parts}), {len(trajectory) / total:.1f} frames per second")])
+    print_facts(console, [("Time", f"{total:.1f} s, {len(trajectory) / total:.1f} frames/s ({parts})")])
     print_files(console, "Files", run.files)
 
 
@@ -193,11 +193,11 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
         return facts
     turn = np.degrees(trajectory.turn[trajectory.solved])
     most = f", {turn.max():.1f}° at most" if turn.max() - turn[-1] > 0.05 else ""
-    facts.append(("Turned", f"{turn[-1]:.1f}° from the first to the last of them{most}"))
+    facts.append(("Turned", f"{turn[-1]:.1f}° from the first to the last solved frame{most}"))
     positions = trajectory.positions[trajectory.solved]
     moved = length(float(np.linalg.norm(positions[-1] - positions[0])), trajectory.unit)
     path = length(float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()), trajectory.unit)
-    facts.append(("Moved", f"{moved} from the first to the last of them, along a path of {path}"))
+    facts.append(("Moved", f"{moved} from the first to the last solved frame, along a path of {path}"))
     one_camera = len(trajectory.camera_names) == 1
     open_scale = sum(f.status is Status.SCALE_NOT_OBSERVABLE for f in trajectory)
     if one_camera:
