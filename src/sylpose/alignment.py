@@ -127,15 +127,15 @@ def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, fir
             gradient += b[:6] - gain.T @ b[6:]
             blocks.append((h, b))
         damping = 1e-9 * np.diag(np.diag(hessian)) + 1e-300 * np.eye(6)
-        step: FloatArray = -np.linalg.lstsq(hessian + damping, gradient, rcond=None)[0]
+        step = -np.asarray(np.linalg.lstsq(hessian + damping, gradient, rcond=None)[0], dtype=float)
         size = float(step @ hessian @ step)
         if final:
             # Re-weighting converges linearly; Aitken's extrapolation of its steps makes that a few rounds.
             ratio = float(step @ hessian @ previous) / max(float(previous @ hessian @ previous), 1e-300)
-            previous = step
+            previous = step.copy()
             if iteration >= len(schedule) + SIGMA_ROUNDS and iteration % 3 == 2:
-                step = step / (1.0 - np.clip(ratio, -1.0, 0.85))
-        step = step / max(1.0, float(np.linalg.norm(step[:3])) / 0.5)
+                step /= 1.0 - np.clip(ratio, -1.0, 0.85)
+        step /= max(1.0, float(np.linalg.norm(step[:3])) / 0.5)
         for c, (h, b) in enumerate(blocks):
             surface[c] -= np.linalg.solve(h[6:, 6:], b[6:] + h[6:, :6] @ step)
         rotation = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation

@@ -131,7 +131,7 @@ def detect(
 
 
 def match_features(a: Features, b: Features, ratio: float = 0.8, max_shift_px: float = np.inf) -> NDArray[np.int64]:
-    """Mutual nearest neighbours that pass the ratio test in both directions.
+    """Mutual nearest neighbours that pass the ratio test.
 
     Args:
         a, b: features of the same camera in two frames.
@@ -145,9 +145,13 @@ def match_features(a: Features, b: Features, ratio: float = 0.8, max_shift_px: f
         return np.empty((0, 2), np.int64)
     # Unit vectors: |u - v|^2 = 2 - 2 u.v, so one matrix product gives all distances.
     similarity = a.descriptors @ b.descriptors.T
-    forward = _best_with_ratio(similarity, ratio)
-    backward = _best_with_ratio(similarity.T, ratio)
-    i = np.flatnonzero((forward >= 0) & (backward[np.maximum(forward, 0)] == np.arange(len(a))))
+    rows = np.arange(len(a))
+    forward, backward = similarity.argmax(axis=1), similarity.argmax(axis=0)
+    best = similarity[rows, forward]
+    similarity[rows, forward] = -1.0
+    second = similarity.max(axis=1)
+    distinct = 1.0 - best <= ratio**2 * (1.0 - second)
+    i = np.flatnonzero(distinct & (backward[forward] == rows))
     pairs = np.column_stack([i, forward[i]])
     shift = np.linalg.norm(a.pixels[pairs[:, 0]] - b.pixels[pairs[:, 1]], axis=1)
     pairs = pairs[shift <= max_shift_px]
@@ -163,13 +167,3 @@ def seen_before(features: Features, earlier: Features) -> NDArray[np.bool_]:
     gap, nearest = cKDTree(earlier.pixels).query(features.pixels, 3, distance_upper_bound=STILL_PX)
     similar = np.einsum("nd,nkd->nk", features.descriptors, earlier.descriptors[np.minimum(nearest, len(earlier) - 1)])
     return np.asarray((np.isfinite(gap) & (similar > SAME_LOOK)).any(axis=1))
-
-
-def _best_with_ratio(similarity: NDArray[np.float32], ratio: float) -> NDArray[np.int64]:
-    """(n,) index of the most similar column of each row, -1 where the second is too close."""
-    top = np.argpartition(-similarity, 1, axis=1)[:, :2]
-    value = np.take_along_axis(similarity, top, axis=1)
-    order = np.argsort(-value, axis=1, kind="stable")
-    top, value = np.take_along_axis(top, order, axis=1), np.take_along_axis(value, order, axis=1)
-    distance = np.sqrt(np.maximum(2.0 - 2.0 * value, 0.0))
-    return np.where(distance[:, 0] <= ratio * distance[:, 1], top[:, 0], -1)
