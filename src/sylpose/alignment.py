@@ -72,7 +72,7 @@ class Aligned:
         information: (6, 6) of (w, d).
         weights: per camera (n,), 0 for outliers.
         residuals: per camera (n,) pixels, across the direction that unknown depth leaves open: the epipolar distance.
-        cost: robust, per match between 0 and 1: comparable between starts.
+        cost: robust, mean over the matches by trust, between 0 and 1: comparable between starts.
         converged: whether the last step was negligible.
         iterations: of Gauss-Newton.
     """
@@ -216,7 +216,7 @@ def _summary(
 ) -> Aligned:
     information = np.zeros((6, 6))
     weights, residuals = [], []
-    cost, n = 0.0, 0
+    cost, total = 0.0, 0.0
     for c, sight in enumerate(sights):
         e, jac, inverse = _linearise(sight, basis[c], surface[c], rotation, shift, sigma[c])
         distance = np.sqrt(np.einsum("ni,nij,nj->n", e, inverse, e))
@@ -225,15 +225,15 @@ def _summary(
         information += h[:6, :6] - h[:6, 6:] @ np.linalg.solve(h[6:, 6:] + np.eye(3), h[6:, :6])
         weights.append(w)
         residuals.append(_across(e, inverse, sight.focal))
-        cost += float((1.0 - np.maximum(1.0 - (distance / CUTOFF) ** 2, 0.0) ** 3).sum())
-        n += len(w)
+        cost += float(sight.trust @ (1.0 - np.maximum(1.0 - (distance / CUTOFF) ** 2, 0.0) ** 3))
+        total += float(sight.trust.sum())
     return Aligned(
         rotation,
         shift,
         information,
         tuple(weights),
         tuple(residuals),
-        cost / max(n, 1),
+        cost / max(total, 1e-12),
         converged,
         count,
     )

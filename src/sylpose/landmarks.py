@@ -38,16 +38,18 @@ class Landmarks:
         mean: (n, 3).
         information: (n, 3, 3), the inverse covariances.
         seen: (n,) in how many frames each was seen.
+        moved: (n,) whether it was ever seen to move with the object. What never was may be background.
     """
 
     mean: FloatArray
     information: FloatArray
     seen: NDArray[np.int64]
+    moved: BoolArray
 
     @classmethod
     def none(cls) -> Landmarks:
         """No landmarks."""
-        return cls(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0, np.int64))
+        return cls(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0, np.int64), np.empty(0, bool))
 
     @classmethod
     def concatenate(cls, parts: Sequence[Landmarks]) -> Landmarks:
@@ -57,6 +59,7 @@ class Landmarks:
             np.concatenate([p.mean for p in parts]),
             np.concatenate([p.information for p in parts]),
             np.concatenate([p.seen for p in parts]),
+            np.concatenate([p.moved for p in parts]),
         )
 
     def __len__(self) -> int:
@@ -75,7 +78,7 @@ class Landmarks:
 
     def subset(self, index: NDArray[np.int64] | BoolArray) -> Landmarks:
         """Those that a mask or an index array picks."""
-        return Landmarks(self.mean[index], self.information[index], self.seen[index])
+        return Landmarks(self.mean[index], self.information[index], self.seen[index], self.moved[index])
 
 
 def rays(features: Features, camera: Camera, object_from_world: RigidTransform) -> tuple[FloatArray, FloatArray]:
@@ -95,7 +98,7 @@ def new_landmarks(
     along = directions[:, :, None] * directions[:, None, :]
     across = (camera.focal / (RAY_SIGMA_PX * distance)) ** 2
     information = across[:, None, None] * (np.eye(3) - along) + along / (sd**2)[:, None, None]
-    return Landmarks(mean, information, np.ones(len(mean), np.int64))
+    return Landmarks(mean, information, np.ones(len(mean), np.int64), np.zeros(len(mean), bool))
 
 
 def seen_again(known: Landmarks, features: Features, camera: Camera, object_from_world: RigidTransform) -> Landmarks:
@@ -106,7 +109,7 @@ def seen_again(known: Landmarks, features: Features, camera: Camera, object_from
     ray = across[:, None, None] * (np.eye(3) - directions[:, :, None] * directions[:, None, :])
     information = known.information + ray
     right = np.einsum("nij,nj->ni", known.information, known.mean) + ray @ center
-    return Landmarks(np.linalg.solve(information, right[..., None])[..., 0], information, known.seen + 1)
+    return Landmarks(np.linalg.solve(information, right[..., None])[..., 0], information, known.seen + 1, known.moved)
 
 
 def depth_prior(
@@ -152,5 +155,5 @@ def learn_landmarks(
     if len(index):
         again = seen_again(known, features.subset(index), camera, object_from_world)
         landmarks.mean[index], landmarks.information[index] = again.mean, again.information
-        landmarks.seen[index] = again.seen
+        landmarks.seen[index], landmarks.moved[index] = again.seen, again.moved
     return landmarks

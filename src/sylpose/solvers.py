@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,19 +12,22 @@ from sylpose.alignment import Aligned, Sights, align
 from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit
 from sylpose.landmarks import Landmarks
 from sylpose.motion import sylvester_fit
-from sylpose.reference import Pair, Reference
+from sylpose.reference import Pair, Reference, still
 from sylpose.results import Status
 from sylpose.rig import Rig
 
 __all__ = ["SOLVERS", "best_landmarks"]
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 Hypothesis = tuple[FloatArray, FloatArray]
 # (rig, pairs, current frame, base, radius, guess of (R, d) from the base, rng) -> one weight array per pair in the fit.
 Solver = Callable[[Rig, Sequence[Pair], Reference, Reference, float, Hypothesis, np.random.Generator], Fit]
 
 # Above this mean robust cost most landmarks contradict the pose that was started from: other starts are tried.
 POOR_COST = 0.6
+# Weight of a landmark that stands still and never moved, while others move.
+STILL_TRUST = 0.05
 
 
 def solve_epipolar(
@@ -73,7 +77,7 @@ def solve_landmarks(
     rng: np.random.Generator,
 ) -> Fit:
     """Alignment with the landmarks of all references; from other starts where the guess is contradicted."""
-    sights = [_sights(rig, pairs, current, base, camera) for camera in range(len(rig))]
+    sights = _without_background([_sights(rig, pairs, current, base, camera) for camera in range(len(rig))])
     data = [pair.term(rig, base) for pair in pairs]
     if sum(len(s.points) for s in sights) < MIN_MATCHES:
         return no_fit(data, Status.TOO_FEW_MATCHES)
@@ -86,8 +90,19 @@ def solve_landmarks(
     return _fit_of(aligned, pairs, len(rig))
 
 
-def _sights(rig: Rig, pairs: Sequence[Pair], current: Reference, base: Reference, c: int) -> Sights:
-    """One camera's matches of landmarks, carried to where the object was in the base frame."""
+def _without_background(sights: Sequence[tuple[Sights, BoolArray]]) -> list[Sights]:
+    """Takes the trust from landmarks that stand still and were never seen to move, once others do.
+
+    A background that is not known as such yet agrees with itself as well as the object does, and is often larger.
+    """
+    moving = sum(int(m.sum()) for _, m in sights)
+    if moving < max(MIN_MATCHES, 0.1 * sum(len(m) for _, m in sights)):
+        return [sight for sight, _ in sights]
+    return [replace(sight, trust=sight.trust * np.where(m, 1.0, STILL_TRUST)) for sight, m in sights]
+
+
+def _sights(rig: Rig, pairs: Sequence[Pair], current: Reference, base: Reference, c: int) -> tuple[Sights, BoolArray]:
+    """One camera's matches of landmarks, carried to where the object was in the base frame; which of them move or did."""
     camera, mine = rig.cameras[c], [pair for pair in pairs if pair.camera == c]
     known = Landmarks.concatenate([pair.reference.landmarks[c].subset(pair.indices[:, 0]) for pair in mine])
     index = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in mine)])
@@ -97,7 +112,8 @@ def _sights(rig: Rig, pairs: Sequence[Pair], current: Reference, base: Reference
     away = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
     # What has moved along for long deserves more trust than what has just come into view (a hand, say).
     trust = np.minimum(known.seen / np.quantile(known.seen, 0.75), 1.0) ** 2 if len(known) else np.empty(0)
-    return Sights(
+    moving = np.concatenate([np.empty(0, bool), *(~still(pair) for pair in mine)]) | known.moved
+    sights = Sights(
         points=points,
         depth_error=error * away[:, None],
         image=current.features[c].normalized[index],
@@ -107,6 +123,7 @@ def _sights(rig: Rig, pairs: Sequence[Pair], current: Reference, base: Reference
         center=camera.center - center,
         focal=camera.focal,
     )
+    return sights, moving
 
 
 def _fit_of(aligned: Aligned, pairs: Sequence[Pair], n_cameras: int) -> Fit:
@@ -136,6 +153,8 @@ def _fit_of(aligned: Aligned, pairs: Sequence[Pair], n_cameras: int) -> Fit:
 def best_landmarks(pairs: Sequence[Pair], camera: int) -> tuple[NDArray[np.int64], Landmarks]:
     """For each feature of the current frame that is matched at all, the best known of the landmarks it is matched with.
 
+    It has moved if any of them has, or does so now.
+
     Returns:
         index (k,) into the current frame's features; their landmarks (k).
     """
@@ -147,7 +166,10 @@ def best_landmarks(pairs: Sequence[Pair], camera: int) -> tuple[NDArray[np.int64
     order = np.lexsort([known.depth_sd, index])
     _, first = np.unique(index[order], return_index=True)
     pick = order[first]
-    return index[pick], known.subset(pick)
+    moved = known.moved | np.concatenate([~still(pair) for pair in mine])
+    ever = np.zeros(int(index.max()) + 1, bool)
+    np.logical_or.at(ever, index, moved)
+    return index[pick], replace(known.subset(pick), moved=ever[index[pick]])
 
 
 SOLVERS: dict[str, Solver] = {
