@@ -119,7 +119,7 @@ def depth_prior(
 
     Args:
         cloud: (m, 3) points on or in the object, object's frame.
-        radius: of the object, which bounds the answer's uncertainty: above and, at a tenth of it, below.
+        radius: of the object, which bounds the answer's uncertainty: above and, at three tenths of it, below.
 
     Returns:
         distance (n,) from the camera; sd (n,).
@@ -136,7 +136,7 @@ def depth_prior(
     near = distance[index]
     # A gap in the image may be a gap of the same size in depth.
     extrapolation = gap.mean(axis=1) / camera.focal * middle
-    return near.mean(axis=1), np.sqrt(near.var(axis=1) + extrapolation**2).clip(0.1 * radius, radius)
+    return near.mean(axis=1), np.sqrt(near.var(axis=1) + extrapolation**2).clip(0.3 * radius, radius)
 
 
 def learn_landmarks(

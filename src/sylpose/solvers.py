@@ -26,6 +26,8 @@ Solver = Callable[[Rig, Sequence[Pair], Reference, Reference, float, Hypothesis,
 
 # Above this mean robust cost most landmarks contradict the pose that was started from: other starts are tried.
 POOR_COST = 0.6
+# So many sights of a feature leave its depth a guess.
+YOUNG = 3
 # Weight of a landmark that stands still and never moved, while others move.
 STILL_TRUST = 0.05
 
@@ -82,7 +84,10 @@ def solve_landmarks(
     if sum(len(s.points) for s in sights) < MIN_MATCHES:
         return no_fit(data, Status.TOO_FEW_MATCHES)
     aligned = align(sights, *guess)
-    if aligned.cost > POOR_COST:
+    # While all depths are guesses, a turn the other way with the depths reversed explains nearly as much (the mirrored
+    # solution of few cameras and small turns); epipolar geometry is asked for its opinion.
+    young = max(pair.reference.landmarks[pair.camera].seen.max() for pair in pairs) <= YOUNG
+    if young or aligned.cost > POOR_COST:
         other = fit_terms(data, base.world_from_object.translation, radius, [guess], rng)
         if other.status is Status.OK:
             again = align(sights, other.rotation, other.shift, first_px=4.0)
