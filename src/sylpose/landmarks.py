@@ -113,13 +113,20 @@ def seen_again(known: Landmarks, features: Features, camera: Camera, object_from
 
 
 def depth_prior(
-    features: Features, camera: Camera, world_from_object: RigidTransform, cloud: FloatArray, radius: float
+    features: Features,
+    camera: Camera,
+    world_from_object: RigidTransform,
+    cloud: FloatArray,
+    radius: float,
+    bulge: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """How far away features are that were never seen before, from the object's points around them in the image.
 
     Args:
         cloud: (m, 3) points on or in the object, object's frame.
         radius: of the object, which bounds the answer's uncertainty: above and, at three tenths of it, below.
+        bulge: how much nearer than the cloud the surface is thought to be at the middle of the object, in radii, falling to
+            nothing at its rim like a sphere's.
 
     Returns:
         distance (n,) from the camera; sd (n,).
@@ -136,6 +143,10 @@ def depth_prior(
     near = distance[index]
     # A gap in the image may be a gap of the same size in depth.
     extrapolation = gap.mean(axis=1) / camera.focal * middle
+    if bulge:
+        offset = np.linalg.norm(features.pixels - camera.project(world_from_object.translation), axis=1)
+        rim = 1.1 * offset.max()
+        near = near - (bulge * radius * np.sqrt(1.0 - (offset / rim) ** 2))[:, None]
     return near.mean(axis=1), np.sqrt(near.var(axis=1) + extrapolation**2).clip(0.3 * radius, radius)
 
 
@@ -147,10 +158,14 @@ def learn_landmarks(
     index: NDArray[np.int64],
     cloud: FloatArray,
     radius: float,
+    bulge: float = 0.0,
 ) -> Landmarks:
-    """The landmarks of a solved frame's features: known ones (k) seen again at `index` (k,), the others new."""
+    """The landmarks of a solved frame's features: known ones (k) seen again at `index` (k,), the others new.
+
+    Args: see `depth_prior`.
+    """
     object_from_world = world_from_object.inv()
-    distance, sd = depth_prior(features, camera, world_from_object, cloud, radius)
+    distance, sd = depth_prior(features, camera, world_from_object, cloud, radius, bulge)
     landmarks = new_landmarks(features, camera, object_from_world, distance, sd)
     if len(index):
         again = seen_again(known, features.subset(index), camera, object_from_world)

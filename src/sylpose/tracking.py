@@ -211,7 +211,8 @@ class Tracker:
             self._surroundings[c] = features.subset(~mask)
             inside.append(features.subset(mask))
         current = Reference.new(current.index, tuple(inside), current.world_from_object)
-        self._learn(current, [])
+        # One camera sees a turn and its mirror image alike, with hollow for round: an object is taken to be round.
+        self._learn(current, [], bulge=0.5 if self._bounded and len(self.rig) == 1 else 0.0)
         self._solved.append(current)
         return self._result(current, frames, Status.FIRST, regions)
 
@@ -296,7 +297,7 @@ class Tracker:
             inherited += float(w.sum()) / total * (both @ pair.reference.covariance @ both.T)
         return covariance_of(fit.information_with_prior) + inherited
 
-    def _learn(self, current: Reference, inliers: Sequence[Pair]) -> None:
+    def _learn(self, current: Reference, inliers: Sequence[Pair], bulge: float = 0.0) -> None:
         """The landmarks of a solved frame, and what they add to the object's cloud of points."""
         landmarks = []
         for c, camera in enumerate(self.rig):
@@ -304,7 +305,7 @@ class Tracker:
             good = known.mean[known.depth_sd < 0.1 * self._radius]
             cloud = good if len(good) >= 20 else self._points
             features, pose = current.features[c], current.world_from_object
-            landmarks.append(learn_landmarks(features, camera, pose, known, index, cloud, self._radius))
+            landmarks.append(learn_landmarks(features, camera, pose, known, index, cloud, self._radius, bulge))
             if not self._bounded:
                 self._add_points(good)
         current.landmarks = tuple(landmarks)
