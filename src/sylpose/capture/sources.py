@@ -124,8 +124,9 @@ def _is_source(entry: Path, rig: Rig) -> bool:
     if entry.name.startswith(".") or (name.lower() in NO_CAMERAS and name not in rig.names):
         return False
     if entry.is_dir():
-        # A folder with a trajectory is the output of an earlier run.
-        return not any(entry.glob("trajectory.*")) and bool(image_files(entry))
+        # A folder with a trajectory, or the picture of the rig, is the output of an earlier run.
+        output = any(entry.glob("trajectory.*")) or (entry / "rig.png").exists()
+        return not output and bool(image_files(entry))
     return entry.suffix.lower() in VIDEO_SUFFIXES
 
 

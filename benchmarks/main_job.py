@@ -1,0 +1,91 @@
+"""The main job on the two real recordings and on the demo: accuracy, speed, memory.
+
+    python benchmarks/main_job.py [--shared ../shared] [--method landmarks ...] [--demo-frames 60]
+
+Each run is `sylpose track` in a process of its own, so that its peak memory and its imports are its own. Scored with
+shared/tools/score.py. Prints one Markdown table; docs/benchmarks.md holds the figures of the last run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+RUN = """
+import json, resource, sys, time
+from sylpose import open_session, track_session
+session, out, method = sys.argv[1:4]
+start = time.perf_counter()
+run = track_session(open_session(session), out, method=method)
+memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+print(json.dumps({"frames": len(run.trajectory), "solved": int(run.trajectory.solved.sum()),
+                  "seconds": time.perf_counter() - start, "parts": run.seconds, "memory_mb": memory}))
+"""
+
+
+def measure(session: Path, truth: Path, score: Path, method: str) -> dict[str, object]:
+    """One run and its score."""
+    with tempfile.TemporaryDirectory() as out:
+        done = subprocess.run(
+            [sys.executable, "-c", RUN, str(session), out, method], capture_output=True, text=True, check=True
+        )
+        result: dict[str, object] = json.loads(done.stdout.splitlines()[-1])
+        scored = subprocess.run(
+            [sys.executable, str(score), f"{out}/trajectory.tum", str(truth), "--json"],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        result["score"] = json.loads(scored.stdout)
+    return result
+
+
+def row(name: str, method: str, result: dict[str, object]) -> str:
+    """One line of the table."""
+    score, parts = result["score"], result["parts"]
+    assert isinstance(score, dict)
+    assert isinstance(parts, dict)
+    deg, mm = score["since_start_deg"], score["since_start_mm"]
+    frames, seconds, memory = result["frames"], result["seconds"], result["memory_mb"]
+    assert isinstance(frames, int)
+    assert isinstance(seconds, float)
+    assert isinstance(memory, float)
+    where = ", ".join(f"{part} {spent:.1f}" for part, spent in parts.items())
+    return (
+        f"| {name} | {method} | {result['solved']} of {frames} | {deg['median']:.2f} / {deg['max']:.2f} / {deg['last']:.2f}"
+        f" | {mm['median']:.2f} / {mm['max']:.2f} / {mm['last']:.2f} | {frames / seconds:.1f} | {where} | {memory:.0f} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--shared", type=Path, default=Path(__file__).parents[2] / "shared")
+    parser.add_argument("--method", nargs="+", default=["landmarks"])
+    parser.add_argument("--demo-frames", type=int, default=60)
+    options = parser.parse_args()
+    score = options.shared / "tools" / "score.py"
+    if not score.exists():
+        sys.exit(f"{score} is not there: the recordings and their scoring tool are needed beside the project")
+
+    from sylpose import simulate
+
+    print("| data | method | solved | degrees since the start: median / worst / last | mm | frames/s | seconds | MB |")
+    print("|---|---|---|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        demo = Path(folder) / "demo"
+        simulate.render_sequence(demo, frames=options.demo_frames)
+        for name, session in (
+            ("temple", options.shared / "data" / "temple"),
+            ("board4", options.shared / "data" / "board4"),
+            (f"demo, {options.demo_frames} frames", demo),
+        ):
+            for method in options.method:
+                print(row(name, method, measure(session, session / "groundtruth.tum", score, method)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
