@@ -11,13 +11,11 @@ from scipy.linalg import solve_sylvester as scipy_solve_sylvester
 from scipy.spatial.transform import Rotation
 
 from sylpose import sylvester
+from sylpose.equation import SingularSylvesterError, solve_generalized_sylvester, solve_sylvester
 from sylpose.moments import PairMoments
 from sylpose.sylvester import (
     CentralizedSolution,
-    SingularSylvesterError,
     solve_centralized,
-    solve_generalized_sylvester,
-    solve_sylvester,
     translation_from_means,
 )
 
