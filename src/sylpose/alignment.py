@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 # Cutoff of the bisquare weights, in standard deviations: 95 % efficient for Gaussian noise.
 CUTOFF = 4.7
 # Noise that the first, forgiving rounds assume, pixels: from a bad prediction to a keypoint's own noise.
-SCHEDULE_PX = (16.0, 8.0, 4.0, 2.0, 1.0)
+SCHEDULE_PX = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
 # Rounds in which the noise level follows the residuals; then it is held, and the rest converges.
 SIGMA_ROUNDS = 5
 MAX_ROUNDS = 40
@@ -87,7 +87,7 @@ class Aligned:
     iterations: int
 
 
-def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = 16.0) -> Aligned:
+def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = 32.0) -> Aligned:
     """Robust Gauss-Newton from one start.
 
     Args:

@@ -19,6 +19,9 @@ FloatArray = NDArray[np.float64]
 # SIFT looks at a patch of about this many pixels around a keypoint; a crop is padded by it.
 CROP_MARGIN_PX = 24
 MAX_FEATURES = 2000
+# OpenCV's SIFT doubles the image first, and its keypoints are off by half of a pixel of that, right and down.
+# (Its enable_precise_upscale, which OpenCV has since 4.8, removes that too, but tracks less precisely.)
+SIFT_BIAS_PX = 0.25
 # A feature displaced by less than this, in pixels, stands still for all that two keypoints can tell.
 STILL_PX = 1.5
 # Cosine of two RootSIFT descriptors of the same thing seen again; unrelated ones stay below about 0.7.
@@ -125,7 +128,7 @@ def detect(
     keypoints, descriptors = sift.detectAndCompute(grey, crop_mask)
     if descriptors is None or len(keypoints) == 0:
         return Features.none()
-    pixels = _cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + np.array([left, top])
+    pixels = _cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + np.array([left, top]) - SIFT_BIAS_PX
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
     return Features(pixels, camera.normalize(pixels), root.astype(np.float32))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -16,8 +16,8 @@ __all__ = ["polygon_mask", "region_polygon", "volume_from_boxes"]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Points per axis of the grid that is carved by the boxes.
-GRID = 21
+# Points per axis of the grids that are carved by the boxes; how many, each laid over what the one before has left.
+GRID, GRIDS = 15, 3
 
 
 def volume_from_boxes(rig: Rig, boxes: Mapping[str, Box]) -> tuple[FloatArray, FloatArray]:
@@ -30,8 +30,11 @@ def volume_from_boxes(rig: Rig, boxes: Mapping[str, Box]) -> tuple[FloatArray, F
         center (3,) world; points (n, 3) world.
 
     Raises:
-        ValueError: no point in space is inside all boxes.
+        ValueError: a camera that the rig does not have; no point in space is inside all boxes.
     """
+    for name in boxes:
+        if name not in rig.names:
+            raise ValueError(f"boxes: no camera {name!r} in the rig ({', '.join(rig.names)})")
     cameras = [rig[name] for name in boxes]
     middles = [np.array([box.x + (box.width - 1) / 2, box.y + (box.height - 1) / 2]) for box in boxes.values()]
     rays = np.array([camera.rays(m)[0] for camera, m in zip(cameras, middles, strict=True)])
@@ -41,21 +44,33 @@ def volume_from_boxes(rig: Rig, boxes: Mapping[str, Box]) -> tuple[FloatArray, F
     for camera, box in zip(cameras, boxes.values(), strict=True):
         depth = camera.rotation[2] @ (center - camera.center)
         sizes.append(0.5 * np.hypot(box.width, box.height) / camera.focal * depth)
-    # The smallest box bounds the object best; half as much again, since boxes are cut off at the image's rim.
-    half = 1.5 * min(sizes)
-    axis = np.linspace(-half, half, GRID)
-    points = center + np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    for camera, box in zip(cameras, boxes.values(), strict=True):
-        pixels = camera.project(points) - [box.x, box.y]
-        size = np.array([box.width, box.height])
-        # A side of the box at the image's rim is where the image ends, not the object.
-        low = np.where(np.array([box.x, box.y]) <= 1, -np.inf, -0.03 * size)
-        high = np.where(np.array([box.x, box.y]) + size >= np.array(camera.size) - 1, np.inf, 1.03 * size)
-        inside = ((pixels >= low) & (pixels <= high)).all(axis=1)
-        points = points[inside]
-    if len(points) < 8:
+    # Where no box bounds it, the object is no larger than the largest box; half as much again, since boxes are cut off at
+    # the image's rim. The grid has the axes of a camera, so that a thin object upright in its box does not slip through.
+    axes = cameras[int(np.argmin(sizes))].rotation
+    low, high = np.full(3, -1.5 * max(sizes)), np.full(3, 1.5 * max(sizes))
+    for _ in range(GRIDS):
+        grid = np.stack(np.meshgrid(*np.linspace(low, high, GRID).T, indexing="ij"), axis=-1).reshape(-1, 3)
+        grid = grid[_inside(cameras, boxes, center + grid @ axes)]
+        if len(grid) == 0:
+            break
+        spacing = (high - low) / (GRID - 1)
+        low, high = np.maximum(low, grid.min(axis=0) - spacing), np.minimum(high, grid.max(axis=0) + spacing)
+    if len(grid) < 8:
         raise ValueError(f"boxes: no place in space is inside the boxes of {', '.join(boxes)} all at once")
-    return center, points
+    return center, center + grid @ axes
+
+
+def _inside(cameras: Sequence[Camera], boxes: Mapping[str, Box], points: FloatArray) -> BoolArray:
+    """(n,) which world points are inside all boxes, or a little outside."""
+    inside = np.ones(len(points), bool)
+    for camera, box in zip(cameras, boxes.values(), strict=True):
+        corner, size = np.array([box.x, box.y]), np.array([box.width, box.height])
+        # A side of the box at the image's rim is where the image ends, not the object.
+        low = np.where(corner <= 1, -np.inf, corner - 0.03 * size)
+        high = np.where(corner + size >= np.array(camera.size) - 1, np.inf, corner + 1.03 * size)
+        pixels = camera.project(points)
+        inside &= ((pixels >= low) & (pixels <= high)).all(axis=1)
+    return inside
 
 
 def region_polygon(camera: Camera, points: FloatArray, growth: float) -> FloatArray | None:

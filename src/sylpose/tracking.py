@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.capture import Box, FrameSet
-from sylpose.features import Features, detect, seen_before
+from sylpose.features import MAX_FEATURES, Features, detect, seen_before
 from sylpose.fit import Fit, fit_terms, object_place
 from sylpose.landmarks import learn_landmarks
 from sylpose.motion import covariance_of, motion_about
 from sylpose.reference import Pair, Reference, inliers_of, learn_background, match_pair, still, triangulate
 from sylpose.region import polygon_mask, region_polygon, volume_from_boxes
 from sylpose.results import FramePose, Status
-from sylpose.rig import Camera, Rig
+from sylpose.rig import Rig
 from sylpose.solvers import SOLVERS, best_landmarks
 
 __all__ = ["METHODS", "TrackedFrame", "Tracker", "track"]
@@ -38,6 +38,8 @@ LAGS = (1, 3, 8, 16)
 PATIENCE = 10
 # Margin of the object's region, as a share of its size in the image; it grows while the object is lost, up to a bound.
 REGION_GROWTH, MAX_GROWTH = 0.15, 1.0
+# Features per camera while the object may be anywhere in the image.
+START_FEATURES = 4000
 # Object points kept to follow the object's region.
 MAX_POINTS = 1500
 
@@ -152,16 +154,21 @@ class Tracker:
             The frames that are now decided, in order: usually this one; none while the object has not moved yet and no
             boxes tell where it is, then those that waited for it and this one.
         """
-        regions = self._regions(frames.index)
-        jobs = zip(self.rig, frames.images, frames.masks, regions, strict=True)
-        features = tuple(self._pool.map(lambda job: self._detect(*job), jobs))
-        background = map(seen_before, features, self._surroundings)
-        current = Reference(frames.index, features, tuple(background))
         if self._solved:
-            return [self._follow(current, frames, regions)]
+            regions = self._regions(self._predict(frames.index), min(REGION_GROWTH * (1 + self._lost), MAX_GROWTH))
+            features = self._detect(frames, self._masks(regions))
+            background = tuple(map(seen_before, features, self._surroundings))
+            return [self._follow(Reference(frames.index, features, background), frames, regions)]
         if self._center is not None:
-            return [self._first(current, frames, self._center)]
-        return self._await_motion(current, frames)
+            regions = self._regions(RigidTransform.from_translation(self._center), REGION_GROWTH)
+            inside = self._masks(regions)
+            features = self._detect(frames, inside)
+            surroundings = self._detect(frames, [~mask for mask in inside])
+            return [self._first(frames, features, surroundings, self._center, regions)]
+        whole = [np.ones(camera.size[::-1], bool) for camera in self.rig]
+        features = self._detect(frames, whole, START_FEATURES)
+        nothing = tuple(np.zeros(len(f), bool) for f in features)
+        return self._await_motion(Reference(frames.index, features, nothing), frames)
 
     def flush(self) -> list[TrackedFrame]:
         """The frames still undecided at the recording's end: the object never moved."""
@@ -169,16 +176,22 @@ class Tracker:
         return [self._unsolved(frames, Status.NO_MOTION) for _, frames in waiting]
 
     def _detect(
-        self, camera: Camera, image: NDArray[np.uint8] | None, mask: BoolArray | None, region: FloatArray | None
-    ) -> Features:
-        if image is None:
-            return Features.none()
-        if not self._solved:
-            return detect(image, camera, mask)
-        if region is None:
-            return Features.none()
-        inside = polygon_mask(region, camera.size)
-        return detect(image, camera, inside if mask is None else inside & mask)
+        self, frames: FrameSet, where: Sequence[BoolArray], max_features: int = MAX_FEATURES
+    ) -> tuple[Features, ...]:
+        """The features of all cameras, inside their areas (h, w) and the object's masks."""
+
+        def run(c: int) -> Features:
+            image, mask = frames.images[c], frames.masks[c]
+            if image is None:
+                return Features.none()
+            return detect(image, self.rig.cameras[c], where[c] if mask is None else where[c] & mask, max_features)
+
+        return tuple(self._pool.map(run, range(len(self.rig))))
+
+    def _masks(self, regions: Regions) -> list[BoolArray]:
+        nowhere = [np.zeros(camera.size[::-1], bool) for camera in self.rig]
+        pairs = zip(self.rig, regions, nowhere, strict=True)
+        return [none if region is None else polygon_mask(region, camera.size) for camera, region, none in pairs]
 
     def _predict(self, index: int) -> RigidTransform:
         """The pose that constant velocity gives; the last pose once the object has been lost."""
@@ -187,34 +200,29 @@ class Tracker:
             return last.world_from_object
         return _power(self._velocity, index - last.index) * last.world_from_object
 
-    def _regions(self, index: int) -> list[FloatArray | None]:
-        """Where to look in each camera: the image of the object's points at the predicted pose, with a margin."""
-        if not self._solved:
-            return [None] * len(self.rig)
-        points = self._predict(index).apply(self._points)
-        growth = min(REGION_GROWTH * (1 + self._lost), MAX_GROWTH)
+    def _regions(self, world_from_object: RigidTransform, growth: float) -> list[FloatArray | None]:
+        """Where to look in each camera: the image of the object's points at a pose, with a margin."""
+        points = world_from_object.apply(self._points)
         return [region_polygon(camera, points, growth) for camera in self.rig]
 
     # --- the start ---------------------------------------------------------------------------------------------------
 
-    def _first(self, current: Reference, frames: FrameSet, center: FloatArray) -> TrackedFrame:
-        """The frame whose pose defines the object's frame. Its features outside the object's region are remembered:
-        what is later seen at the same place is background."""
-        current.world_from_object = RigidTransform.from_translation(center)
-        regions = [region_polygon(camera, center + self._points, REGION_GROWTH) for camera in self.rig]
-        inside = []
-        for c, (camera, features, region) in enumerate(zip(self.rig, current.features, regions, strict=True)):
-            mask = np.zeros(len(features), bool)
-            if region is not None:
-                column, row = np.round(features.pixels).astype(np.int64).T
-                mask = polygon_mask(region, camera.size)[row, column]
-            self._surroundings[c] = features.subset(~mask)
-            inside.append(features.subset(mask))
-        current = Reference.new(current.index, tuple(inside), current.world_from_object)
+    def _first(
+        self,
+        frames: FrameSet,
+        features: tuple[Features, ...],
+        surroundings: Sequence[Features],
+        center: FloatArray,
+        regions: Regions,
+    ) -> TrackedFrame:
+        """The frame whose pose defines the object's frame. The features around the object are remembered: what is later
+        seen at the same place is background."""
+        self._surroundings = list(surroundings)
+        first = Reference.new(frames.index, features, RigidTransform.from_translation(center))
         # One camera sees a turn and its mirror image alike, with hollow for round: an object is taken to be round.
-        self._learn(current, [], bulge=0.5 if self._bounded and len(self.rig) == 1 else 0.0)
-        self._solved.append(current)
-        return self._result(current, frames, Status.FIRST, regions)
+        self._learn(first, [], bulge=0.5 if self._bounded and len(self.rig) == 1 else 0.0)
+        self._solved.append(first)
+        return self._result(first, frames, Status.FIRST, regions)
 
     def _await_motion(self, current: Reference, frames: FrameSet) -> list[TrackedFrame]:
         """Without boxes: compare with the oldest waiting frame until something moves; that is the object."""
@@ -244,9 +252,16 @@ class Tracker:
         current.world_from_object = motion * first.world_from_object
         self._add_points(np.concatenate([triangulate(pair, self.rig, current) for pair in inliers]))
         self._waiting = []
-        decided = [self._first(first, first_frames, self._center)]
+        regions = self._regions(first.world_from_object, REGION_GROWTH)
+        inside = [
+            mask[tuple(np.round(features.pixels).astype(np.int64).T[::-1])]
+            for features, mask in zip(first.features, self._masks(regions), strict=True)
+        ]
+        its = tuple(f.subset(mask) for f, mask in zip(first.features, inside, strict=True))
+        surroundings = [f.subset(~mask) for f, mask in zip(first.features, inside, strict=True)]
+        decided = [self._first(first_frames, its, surroundings, self._center, regions)]
         nowhere: Regions = [None] * len(self.rig)
-        return decided + [self._follow(waited, its, nowhere) for waited, its in [*others, (current, frames)]]
+        return decided + [self._follow(waited, theirs, nowhere) for waited, theirs in [*others, (current, frames)]]
 
     # --- every other frame -------------------------------------------------------------------------------------------
 
