@@ -42,7 +42,7 @@ def estimate_motion(
     Args:
         rig: C cameras.
         matches: C sets of matches, in the rig's order; `Matches.none()` for a camera that sees nothing.
-        method: "epipolar" (perspective, six degrees of freedom, robust: docs/method.md 5) or "sylvester" (Chen &
+        method: "epipolar" (perspective, six degrees of freedom, robust: docs/method.md, "The epipolar cost") or "sylvester" (Chen &
             Schonfeld's centralised estimator: weak perspective, from second moments).
         initial: a guess of the motion (while tracking, the last one), tried besides the built-in starts.
         center: (3,) where the object's centre is in frame i, world; None: the point nearest to the cameras' mean rays.

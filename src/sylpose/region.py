@@ -99,8 +99,9 @@ def region_polygon(camera: Camera, points: FloatArray, growth: float) -> FloatAr
     return np.asarray(cv2.convexHull(widened).reshape(-1, 2), dtype=float)
 
 
-def polygon_mask(outline: FloatArray, size: tuple[int, int]) -> BoolArray:
-    """(h, w) mask, True inside the outline (k, 2)."""
+def polygon_mask(outline: FloatArray | None, size: tuple[int, int]) -> BoolArray:
+    """(h, w) mask, True inside the outline (k, 2); False everywhere without one."""
     mask = np.zeros((size[1], size[0]), np.uint8)
-    cv2.fillConvexPoly(mask, np.round(outline).astype(np.int32), 1)
+    if outline is not None:
+        cv2.fillConvexPoly(mask, np.round(outline).astype(np.int32), 1)
     return mask.astype(bool)

@@ -7,16 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from sylpose.alignment import Aligned, Sights, align
-from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit
+from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit, object_place
 from sylpose.landmarks import Landmarks
 from sylpose.motion import sylvester_fit
-from sylpose.reference import Pair, Reference, still
+from sylpose.reference import Pair, Reference, inliers_of, still
 from sylpose.results import Status
 from sylpose.rig import Rig
 
-__all__ = ["SOLVERS", "best_landmarks"]
+__all__ = ["SOLVERS", "best_landmarks", "first_motion"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -43,7 +44,7 @@ def solve_epipolar(
 ) -> Fit:
     """Epipolar geometry against all references at once; what is known of the features' depth is not used."""
     data = [pair.term(rig, base) for pair in pairs]
-    return fit_terms(data, base.world_from_object.translation, radius, [guess], rng)
+    return fit_terms(data, base.world_from_object.translation, radius, _starts(guess, radius), rng)
 
 
 def solve_sylvester(
@@ -59,7 +60,7 @@ def solve_sylvester(
     center = base.world_from_object.translation
     data = [pair.term(rig, base) for pair in pairs]
     near = [i for i, pair in enumerate(pairs) if pair.reference is base]
-    fit = fit_terms([data[i] for i in near], center, radius, [guess], rng)
+    fit = fit_terms([data[i] for i in near], center, radius, _starts(guess, radius), rng)
     if fit.status is Status.OK:
         fit = sylvester_fit([data[i] for i in near], fit, center)
     none = no_fit(data, fit.status)
@@ -88,11 +89,18 @@ def solve_landmarks(
     # solution of few cameras and small turns); epipolar geometry is asked for its opinion.
     young = max(pair.reference.landmarks[pair.camera].seen.max() for pair in pairs) <= YOUNG
     if young or aligned.cost > POOR_COST:
-        other = fit_terms(data, base.world_from_object.translation, radius, [guess], rng)
+        other = fit_terms(data, base.world_from_object.translation, radius, _starts(guess, radius), rng)
         if other.status is Status.OK:
             again = align(sights, other.rotation, other.shift, first_px=4.0)
             aligned = min(aligned, again, key=lambda a: a.cost)
     return _fit_of(aligned, pairs, len(rig))
+
+
+def _starts(guess: Hypothesis, radius: float) -> list[Hypothesis]:
+    """The guess as a start of an epipolar fit; none where it is the identity, whose cost is 0/0."""
+    rotation, shift = guess
+    size = radius * float(Rotation.from_matrix(rotation).magnitude()) + float(np.linalg.norm(shift))
+    return [guess] if size > 1e-3 * radius else []
 
 
 def _without_background(sights: Sequence[tuple[Sights, BoolArray]]) -> list[Sights]:
@@ -153,6 +161,24 @@ def _fit_of(aligned: Aligned, pairs: Sequence[Pair], n_cameras: int) -> Fit:
         aligned.information,
         aligned.iterations,
     )
+
+
+def first_motion(
+    rig: Rig, pairs: Sequence[Pair], first: Reference, rng: np.random.Generator
+) -> tuple[Fit, FloatArray, list[Pair]]:
+    """The motion since a frame in which nothing but the object is going to move, from what moves.
+
+    Returns:
+        the fit, the center (3,) that it is about, and its inliers.
+    """
+    moving = [pair.subset(~still(pair)) for pair in pairs if pair.reference is first]
+    moving = [pair for pair in moving if len(pair)]
+    data = [pair.term(rig, first) for pair in moving]
+    if not data:
+        return no_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), []
+    center, radius = object_place(data)
+    fit = fit_terms(data, center, radius, [], rng)
+    return fit, center, inliers_of(moving, fit.weights)
 
 
 def best_landmarks(pairs: Sequence[Pair], camera: int) -> tuple[NDArray[np.int64], Landmarks]:

@@ -14,14 +14,14 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.capture import Box, FrameSet
 from sylpose.features import MAX_FEATURES, Features, detect, seen_before
-from sylpose.fit import Fit, fit_terms, object_place
+from sylpose.fit import MIN_MATCHES, Fit, object_place
 from sylpose.landmarks import learn_landmarks
-from sylpose.motion import covariance_of, motion_about
-from sylpose.reference import Pair, Reference, inliers_of, learn_background, match_pair, still, triangulate
+from sylpose.motion import covariance_of, motion_about, observed
+from sylpose.reference import Pair, Reference, inliers_of, learn_background, match_pair, triangulate
 from sylpose.region import polygon_mask, region_polygon, volume_from_boxes
 from sylpose.results import FramePose, Status
 from sylpose.rig import Rig
-from sylpose.solvers import SOLVERS, best_landmarks
+from sylpose.solvers import SOLVERS, best_landmarks, first_motion
 
 __all__ = ["METHODS", "TrackedFrame", "Tracker", "track"]
 
@@ -129,6 +129,7 @@ class Tracker:
         self._surroundings = [Features.none()] * len(rig)  # the first frame's features outside the object's region
         self._points = np.empty((0, 3))  # object's frame: the cloud whose image is the object's region
         self._bounded = bool(boxes)  # boxes bound the object; without them its cloud grows with what is found on it
+        self._guessed = bool(boxes)  # until the first motion they are all that is known of its depth
         self._center: FloatArray | None = None  # of the object in the first frame, world
         self._radius = np.nan
         if boxes:
@@ -157,16 +158,19 @@ class Tracker:
         if self._solved:
             regions = self._regions(self._predict(frames.index), min(REGION_GROWTH * (1 + self._lost), MAX_GROWTH))
             features = self._detect(frames, self._masks(regions))
-            background = tuple(map(seen_before, features, self._surroundings))
-            return [self._follow(Reference(frames.index, features, background), frames, regions)]
+            return [self._follow(self._reference(frames.index, features), frames, regions)]
         if self._center is not None:
             regions = self._regions(RigidTransform.from_translation(self._center), REGION_GROWTH)
             inside = self._masks(regions)
             features = self._detect(frames, inside)
+            if sum(map(len, features)) < MIN_MATCHES:
+                return [self._unsolved(frames, Status.TOO_FEW_MATCHES, regions)]
             surroundings = self._detect(frames, [~mask for mask in inside])
             return [self._first(frames, features, surroundings, self._center, regions)]
         whole = [np.ones(camera.size[::-1], bool) for camera in self.rig]
         features = self._detect(frames, whole, START_FEATURES)
+        if not self._waiting and sum(map(len, features)) < MIN_MATCHES:
+            return [self._unsolved(frames, Status.TOO_FEW_MATCHES)]  # later ones need something to be compared with
         nothing = tuple(np.zeros(len(f), bool) for f in features)
         return self._await_motion(Reference(frames.index, features, nothing), frames)
 
@@ -189,9 +193,18 @@ class Tracker:
         return tuple(self._pool.map(run, range(len(self.rig))))
 
     def _masks(self, regions: Regions) -> list[BoolArray]:
-        nowhere = [np.zeros(camera.size[::-1], bool) for camera in self.rig]
-        pairs = zip(self.rig, regions, nowhere, strict=True)
-        return [none if region is None else polygon_mask(region, camera.size) for camera, region, none in pairs]
+        return [polygon_mask(region, camera.size) for camera, region in zip(self.rig, regions, strict=True)]
+
+    def _split(self, features: Sequence[Features], regions: Regions) -> tuple[list[Features], list[Features]]:
+        """The features inside the regions and those outside."""
+        masks = zip(features, self._masks(regions), strict=True)
+        inside = [mask[tuple(np.round(f.pixels).astype(np.int64).T[::-1])] for f, mask in masks]
+        pairs = list(zip(features, inside, strict=True))
+        return [f.subset(mask) for f, mask in pairs], [f.subset(~mask) for f, mask in pairs]
+
+    def _reference(self, index: int, features: Sequence[Features]) -> Reference:
+        """A frame to be solved; what the first frame has at the same place around the object is background."""
+        return Reference(index, tuple(features), tuple(map(seen_before, features, self._surroundings)))
 
     def _predict(self, index: int) -> RigidTransform:
         """The pose that constant velocity gives; the last pose once the object has been lost."""
@@ -210,7 +223,7 @@ class Tracker:
     def _first(
         self,
         frames: FrameSet,
-        features: tuple[Features, ...],
+        features: Sequence[Features],
         surroundings: Sequence[Features],
         center: FloatArray,
         regions: Regions,
@@ -218,7 +231,7 @@ class Tracker:
         """The frame whose pose defines the object's frame. The features around the object are remembered: what is later
         seen at the same place is background."""
         self._surroundings = list(surroundings)
-        first = Reference.new(frames.index, features, RigidTransform.from_translation(center))
+        first = Reference.new(frames.index, tuple(features), RigidTransform.from_translation(center))
         # One camera sees a turn and its mirror image alike, with hollow for round: an object is taken to be round.
         self._learn(first, [], bulge=0.5 if self._bounded and len(self.rig) == 1 else 0.0)
         self._solved.append(first)
@@ -228,14 +241,9 @@ class Tracker:
         """Without boxes: compare with the oldest waiting frame until something moves; that is the object."""
         if self._waiting:
             first, _ = self._waiting[0]
-            pairs = [pair.subset(~still(pair)) for pair in self._match([first], current)]
-            pairs = [pair for pair in pairs if len(pair)]
-            data = [pair.term(self.rig, first) for pair in pairs]
-            if data:
-                center, radius = object_place(data)
-                fit = fit_terms(data, center, radius, [], self._rng())
-                if fit.status is Status.OK:
-                    return self._begin(current, frames, inliers_of(pairs, fit.weights), motion_about(center, fit))
+            fit, center, inliers = first_motion(self.rig, self._match([first], current), first, self._rng())
+            if fit.status is Status.OK:
+                return self._begin(current, frames, inliers, motion_about(center, fit))
         self._waiting.append((current, frames))
         if len(self._waiting) <= PATIENCE:
             return []
@@ -253,15 +261,15 @@ class Tracker:
         self._add_points(np.concatenate([triangulate(pair, self.rig, current) for pair in inliers]))
         self._waiting = []
         regions = self._regions(first.world_from_object, REGION_GROWTH)
-        inside = [
-            mask[tuple(np.round(features.pixels).astype(np.int64).T[::-1])]
-            for features, mask in zip(first.features, self._masks(regions), strict=True)
-        ]
-        its = tuple(f.subset(mask) for f, mask in zip(first.features, inside, strict=True))
-        surroundings = [f.subset(~mask) for f, mask in zip(first.features, inside, strict=True)]
-        decided = [self._first(first_frames, its, surroundings, self._center, regions)]
-        nowhere: Regions = [None] * len(self.rig)
-        return decided + [self._follow(waited, theirs, nowhere) for waited, theirs in [*others, (current, frames)]]
+        features, surroundings = self._split(first.features, regions)
+        decided = [self._first(first_frames, features, surroundings, self._center, regions)]
+        for waited, its in [*others, (current, frames)]:
+            # They were searched everywhere: what was at rest with the object would seem to belong to it.
+            pose = current.world_from_object if waited is current else self._predict(waited.index)
+            regions = self._regions(pose, REGION_GROWTH)
+            features, _ = self._split(waited.features, regions)
+            decided.append(self._follow(self._reference(waited.index, features), its, regions))
+        return decided
 
     # --- every other frame -------------------------------------------------------------------------------------------
 
@@ -271,6 +279,8 @@ class Tracker:
         references = [self._solved[i] for i in sorted({max(last - lag, 0) for lag in LAGS}, reverse=True)]
         base = references[0]
         pairs = self._match(references, current)
+        if self._guessed:
+            self._learn_depth(references[-1], current, pairs)
         center = base.world_from_object.translation
         guess = self._predict(current.index) * base.world_from_object.inv()
         hypothesis = (guess.rotation.as_matrix(), guess.apply(center) - center)
@@ -280,7 +290,8 @@ class Tracker:
             return self._unsolved(frames, fit.status, regions)
         motion = motion_about(center, fit)
         current.world_from_object = motion * base.world_from_object
-        current.covariance = self._covariance(fit, pairs, current)
+        stood = fit.status is Status.NO_MOTION  # the pose is the base's, and so is its error
+        current.covariance = base.covariance if stood else self._covariance(fit, pairs, current)
         learn_background(pairs, self.rig, current, self._radius)
         self._learn(current, inliers_of(pairs, fit.weights))
         self._velocity = _power(motion, 1.0 / max(current.index - base.index, 1))
@@ -288,10 +299,29 @@ class Tracker:
         self._solved.append(current)
         return self._result(current, frames, fit.status, regions, pairs, fit, base)
 
+    def _learn_depth(self, first: Reference, current: Reference, pairs: Sequence[Pair]) -> None:
+        """What the boxes allow is much deeper than the object. Epipolar geometry needs no depth: once it finds a motion,
+        that tells where the surface is, and the landmarks are learnt anew."""
+        fit, center, inliers = first_motion(self.rig, pairs, first, self._rng())
+        enough = (Status.OK,) if len(self.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
+        if observed(fit, self._radius).status not in enough:
+            return
+        current.world_from_object = motion_about(center, fit) * first.world_from_object
+        points = np.concatenate([triangulate(pair, self.rig, current) for pair in inliers])
+        if len(points) < 20:
+            return
+        self._guessed = False
+        _, self._radius = object_place([pair.term(self.rig, first) for pair in inliers])
+        for reference in self._solved:
+            self._learn(reference, [], points)
+
     def _match(self, references: Sequence[Reference], current: Reference) -> list[Pair]:
-        jobs = [(reference, camera) for reference in references for camera in range(len(self.rig))]
-        pairs = self._pool.map(lambda job: match_pair(job[0], current, job[1]), jobs)
-        return [pair for pair in pairs if len(pair)]
+        def run(c: int) -> list[Pair]:
+            # In order: each reference passes on what it knows of the background, and the next one uses it.
+            return [match_pair(reference, current, c) for reference in references]
+
+        of_cameras = list(self._pool.map(run, range(len(self.rig))))
+        return [pair for of_reference in zip(*of_cameras, strict=True) for pair in of_reference if len(pair)]
 
     def _rng(self) -> np.random.Generator:
         """The same outlier rejection for the same frame, whatever came before."""
@@ -310,15 +340,19 @@ class Tracker:
             turn = (current.world_from_object.rotation * pair.reference.world_from_object.rotation.inv()).as_matrix()
             both = np.kron(np.eye(2), turn)
             inherited += float(w.sum()) / total * (both @ pair.reference.covariance @ both.T)
-        return covariance_of(fit.information_with_prior) + inherited
+        # What cannot be observed is bounded: no motion by half a turn or by the object's size is matched.
+        bound = np.repeat([np.pi**-2, self._radius**-2], 3)
+        return covariance_of(fit.information_with_prior + np.diag(bound)) + inherited
 
-    def _learn(self, current: Reference, inliers: Sequence[Pair], bulge: float = 0.0) -> None:
+    def _learn(
+        self, current: Reference, inliers: Sequence[Pair], surface: FloatArray | None = None, bulge: float = 0.0
+    ) -> None:
         """The landmarks of a solved frame, and what they add to the object's cloud of points."""
         landmarks = []
         for c, camera in enumerate(self.rig):
             index, known = best_landmarks(inliers, c)
             good = known.mean[known.depth_sd < 0.1 * self._radius]
-            cloud = good if len(good) >= 20 else self._points
+            cloud = good if len(good) >= 20 else self._points if surface is None else surface
             features, pose = current.features[c], current.world_from_object
             landmarks.append(learn_landmarks(features, camera, pose, known, index, cloud, self._radius, bulge))
             if not self._bounded:
