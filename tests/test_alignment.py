@@ -155,7 +155,9 @@ def test_the_weight_is_the_inverse_of_both_noises(rig: Rig) -> None:
     _, _, inverse = _linearise(one, _basis(one), np.zeros(3), rotation, shift, 0.7)
     h = 1e-6
     moved = [
-        _linearise(replace(one, points=one.points + k * h * one.depth_error), _basis(one), np.zeros(3), rotation, shift, 1)
+        _linearise(
+            replace(one, points=one.points + k * h * one.depth_error), _basis(one), np.zeros(3), rotation, shift, 1
+        )
         for k in (1, -1)
     ]
     along = (moved[0][0] - moved[1][0]) / (2 * h)
@@ -186,9 +188,7 @@ def test_known_depths_of_one_camera_are_solve_pnp(seed: int) -> None:
     # So little noise that the robust weights are all alike.
     one = sight(camera, truth, np.random.default_rng(seed), noise_px=0.02)
     found = align([one], *IDENTITY)
-    _, turn, place = cv2.solvePnP(
-        one.points, one.image, np.eye(3), np.zeros(0), flags=cv2.SOLVEPNP_ITERATIVE
-    )
+    _, turn, place = cv2.solvePnP(one.points, one.image, np.eye(3), np.zeros(0), flags=cv2.SOLVEPNP_ITERATIVE)
     rotation = camera.rotation.T @ Rotation.from_rotvec(turn.ravel()).as_matrix()
     shift = camera.rotation.T @ place.ravel() + camera.center
     sd = np.sqrt(np.diag(np.linalg.inv(found.information)))

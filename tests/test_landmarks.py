@@ -42,7 +42,9 @@ def sight(points: FloatArray, camera: Camera, noise: FloatArray | float = 0.0) -
     return features_at(camera.project(WORLD_FROM_OBJECT.apply(points)) + noise, camera)
 
 
-def first_sight(points: FloatArray, camera: Camera, off: float, sd: float, noise: FloatArray | float = 0.0) -> Landmarks:
+def first_sight(
+    points: FloatArray, camera: Camera, off: float, sd: float, noise: FloatArray | float = 0.0
+) -> Landmarks:
     """New landmarks whose depth is guessed wrong by `off` and said to be good to `sd`."""
     object_from_world = WORLD_FROM_OBJECT.inv()
     distance = np.linalg.norm(points - object_from_world.apply(camera.center), axis=1) + off

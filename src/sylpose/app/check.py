@@ -78,11 +78,13 @@ def facts(session: Session, place: Place) -> list[tuple[str, str]]:
     if place.center is None:
         where = "not known"
     else:
-        at = ", ".join(f"{value:.3g}" for value in place.center)
+        # A thousandth of the distance is all that anybody wants to know here.
+        grain = 1e-3 * float(np.mean([np.linalg.norm(place.center - c.center) for c in rig]))
+        at = ", ".join(f"{value:.3g}" for value in np.where(np.abs(place.center) < grain, 0.0, place.center))
         where = f"where {place.source} meet, ({at})"
         if place.source == "the optical axes":
             off = [np.linalg.norm(np.cross(place.center - c.center, c.direction)) for c in rig]
-            where += f", to within {length(float(max(off)), rig.unit)}"
+            where += f", to within {length(max(float(max(off)), grain), rig.unit)}"
         elif place.radius:
             where += f", radius up to {length(place.radius, rig.unit)}"
     words.append(("Object", where))
