@@ -42,8 +42,8 @@ def estimate_motion(
     Args:
         rig: C cameras.
         matches: C sets of matches, in the rig's order; `Matches.none()` for a camera that sees nothing.
-        method: "epipolar" (perspective, six degrees of freedom, robust: docs/method.md, "The epipolar cost") or "sylvester" (Chen &
-            Schonfeld's centralised estimator: weak perspective, from second moments).
+        method: "epipolar" (perspective, six degrees of freedom, robust: docs/method.md, "The epipolar cost") or
+            "sylvester" (Chen & Schonfeld's centralised estimator: weak perspective, from second moments).
         initial: a guess of the motion (while tracking, the last one), tried besides the built-in starts.
         center: (3,) where the object's centre is in frame i, world; None: the point nearest to the cameras' mean rays.
         radius: of the object, length units; None: from the spread of the matches.

@@ -1,0 +1,224 @@
+"""The two-frame verb: exact, robust, honest about what it cannot see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose import simulate
+from sylpose.features import Matches
+from sylpose.moments import PairMoments
+from sylpose.motion import covariance_of, estimate_motion
+from sylpose.results import Motion, Status
+from sylpose.rig import Camera, Rig
+from sylpose.sylvester import solve_centralized
+
+FloatArray = NDArray[np.float64]
+BODY = simulate.ellipsoid((0.15, 0.12, 0.10))
+
+
+def rig_of(n: int) -> Rig:
+    """Cameras around the object, not in one plane, none opposite another."""
+    if n < 4:
+        return simulate.arc(n, 50.0, height=0.3)
+    return simulate.dome(n)
+
+
+def errors(motion: Motion, truth: RigidTransform, center: FloatArray) -> tuple[float, float]:
+    """Degrees, and millimetres at the object's centre."""
+    assert motion.motion is not None
+    turn = np.degrees((truth.rotation.inv() * motion.motion.rotation).magnitude())
+    return float(turn), 1e3 * float(np.linalg.norm(motion.motion.apply(center) - truth.apply(center)))
+
+
+def pair_of(rig: Rig, seed: int, turn: float = 5.0, **options: object) -> simulate.SimulatedPair:
+    rng = np.random.default_rng(seed)
+    motion = simulate.random_motion(turn, 0.02, rng)
+    return simulate.simulate_matches(rig, BODY, motion, rng=rng, **options)  # type: ignore[arg-type]
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), cameras=st.sampled_from([3, 4, 6]), turn=st.floats(1.0, 30.0))
+def test_exact_without_noise(seed: int, cameras: int, turn: float) -> None:
+    rig = rig_of(cameras)
+    pair = pair_of(rig, seed, turn, noise_px=0.0)
+    degrees, mm = errors(estimate_motion(rig, pair.matches), pair.motion, pair.center)
+    assert degrees < 1e-3
+    assert mm < 0.1  # what is known of the depth is wrong by the surface's distance from the centre, and weighs little
+
+
+@pytest.mark.parametrize(
+    ("cameras", "options", "degrees", "mm"),
+    [
+        (2, {}, 0.6, 4.0),
+        (4, {}, 0.3, 1.5),
+        (8, {}, 0.25, 1.0),
+        (4, {"outliers": 0.3}, 0.35, 2.0),
+        (4, {"outliers": 0.3, "outlier_kind": "static"}, 0.35, 2.0),
+        (4, {"junk": ("cam_1",)}, 0.4, 2.5),
+        (4, {"dead": ("cam_2",)}, 0.4, 2.5),
+    ],
+)
+def test_median_error(cameras: int, options: dict[str, object], degrees: float, mm: float) -> None:
+    rig = rig_of(cameras)
+    found = []
+    for seed in range(9):
+        pair = pair_of(rig, seed, **options)
+        motion = estimate_motion(rig, pair.matches)
+        found.append(errors(motion, pair.motion, pair.center) if motion.motion is not None else (180.0, 1e3))
+    assert np.median(found, axis=0)[0] < degrees
+    assert np.median(found, axis=0)[1] < mm
+
+
+def test_inliers_are_the_inliers() -> None:
+    rig = rig_of(4)
+    pair = pair_of(rig, 3, outliers=0.3)
+    motion = estimate_motion(rig, pair.matches)
+    for mask, wrong in zip(motion.inliers, pair.is_outlier, strict=True):
+        assert mask[~wrong].mean() > 0.85
+        assert mask[wrong].mean() < 0.3
+    assert (motion.residuals < 1.5).all()
+
+
+def test_covariance_is_of_the_errors_size() -> None:
+    rig = rig_of(4)
+    squared = []
+    for seed in range(40):
+        pair = pair_of(rig, seed)
+        motion = estimate_motion(rig, pair.matches)
+        assert motion.motion is not None
+        w = (pair.motion.rotation * motion.motion.rotation.inv()).as_rotvec()
+        d = pair.motion.apply(motion.center) - motion.motion.apply(motion.center)
+        e = np.concatenate([w, d])
+        squared.append(e @ np.linalg.solve(motion.covariance, e))
+    assert 3.5 < np.mean(squared) < 14.0
+    assert 3.0 < np.median(squared) < 9.0  # the median of chi-squared with 6 degrees of freedom is 5.3
+
+
+def test_another_world_frame_gives_the_same_motion_there() -> None:
+    rig = rig_of(4)
+    pair = pair_of(rig, 1)
+    new_from_old = RigidTransform.from_components([0.3, -1.0, 2.0], Rotation.from_rotvec([0.4, -1.1, 0.7]))
+    moved = Rig([Camera(c.name, c.size, c.matrix, c.distortion, c.camera_from_world * new_from_old.inv()) for c in rig])
+    here, there = estimate_motion(rig, pair.matches).motion, estimate_motion(moved, pair.matches).motion
+    assert here is not None
+    assert there is not None
+    back = new_from_old.inv() * there * new_from_old
+    np.testing.assert_allclose(back.as_matrix(), here.as_matrix(), atol=2e-4)
+
+
+def test_swapped_frames_give_the_inverse() -> None:
+    rig = rig_of(4)
+    pair = pair_of(rig, 2)
+    forth = estimate_motion(rig, pair.matches).motion
+    back = estimate_motion(rig, [Matches(m.y, m.x) for m in pair.matches]).motion
+    assert forth is not None
+    assert back is not None
+    np.testing.assert_allclose((forth * back).as_matrix(), np.eye(4), atol=2e-3)
+
+
+def test_same_seed_same_answer() -> None:
+    rig = rig_of(4)
+    pair = pair_of(rig, 5, outliers=0.3)
+    a, b = (estimate_motion(rig, pair.matches, seed=7).motion for _ in range(2))
+    assert a is not None
+    assert b is not None
+    np.testing.assert_array_equal(a.as_matrix(), b.as_matrix())
+
+
+# --- what cannot be seen ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [0, 1, 3, 7])
+def test_too_few_matches(n: int) -> None:
+    rig = rig_of(4)
+    pair = pair_of(rig, 0)
+    few = [Matches(m.x[:n], m.y[:n]) if c == 0 else Matches.none() for c, m in enumerate(pair.matches)]
+    motion = estimate_motion(rig, few)
+    assert motion.status is Status.TOO_FEW_MATCHES
+    assert motion.motion is None
+
+
+def test_one_camera_sees_no_scale() -> None:
+    rig = rig_of(4)
+    pair = pair_of(rig, 4, turn=10.0, noise_px=0.1, dead=("cam_1", "cam_2", "cam_3"))
+    motion = estimate_motion(rig, pair.matches)
+    assert motion.status is Status.SCALE_NOT_OBSERVABLE
+    assert motion.motion is not None
+    assert np.degrees((pair.motion.rotation.inv() * motion.motion.rotation).magnitude()) < 3.0
+
+
+def test_no_motion() -> None:
+    rig = rig_of(4)
+    rng = np.random.default_rng(0)
+    pair = simulate.simulate_matches(rig, BODY, RigidTransform.identity(), rng=rng, noise_px=0.2)
+    motion = estimate_motion(rig, pair.matches)
+    assert motion.status is Status.NO_MOTION
+    assert motion.motion is not None
+    np.testing.assert_array_equal(motion.motion.as_matrix(), np.eye(4))
+
+
+def test_pure_translation_without_noise_has_no_scale() -> None:
+    rig = rig_of(4)
+    shift = RigidTransform.from_translation([0.03, 0.02, -0.01])
+    pair = simulate.simulate_matches(rig, BODY, shift, rng=np.random.default_rng(0), noise_px=0.0)
+    motion = estimate_motion(rig, pair.matches)
+    if motion.motion is not None:
+        assert np.degrees(motion.motion.rotation.magnitude()) < 0.5
+    assert motion.status in (Status.SCALE_NOT_OBSERVABLE, Status.OK)
+
+
+def test_outliers_only() -> None:
+    rig = rig_of(4)
+    wrong = 0
+    for seed in range(5):
+        pair = pair_of(rig, seed, junk=rig.names)
+        motion = estimate_motion(rig, pair.matches)
+        wrong += motion.status is Status.OK
+        assert (motion.motion is None) != motion.status.has_pose
+    assert wrong <= 1
+
+
+def test_collinear_and_duplicated_points_do_not_crash() -> None:
+    rig = rig_of(3)
+    line = np.column_stack([np.linspace(-0.1, 0.1, 30), np.zeros(30)])
+    for points in (line, np.repeat(line[:1], 30, axis=0)):
+        motion = estimate_motion(rig, [Matches(points, points + [0.01, 0.004])] * 3)
+        assert motion.status.text
+
+
+def test_bad_input() -> None:
+    rig = rig_of(3)
+    good = [Matches.none()] * 3
+    with pytest.raises(ValueError, match="2 sets for 3 cameras"):
+        estimate_motion(rig, good[:2])
+    with pytest.raises(ValueError, match="'magic' is not one of"):
+        estimate_motion(rig, good, method="magic")
+    for bad in (np.nan, np.inf):
+        with pytest.raises(ValueError, match="not finite"):
+            Matches(np.array([[bad, 0.0]]), np.zeros((1, 2)))
+
+
+def test_covariance_of_what_is_not_known_is_infinite() -> None:
+    covariance = covariance_of(np.diag([4.0, 4.0, 4.0, 1.0, 1.0, 0.0]))
+    np.testing.assert_allclose(np.diag(covariance), [0.25, 0.25, 0.25, 1.0, 1.0, np.inf])
+
+
+# --- the paper's estimator behind the same call -----------------------------------------------------------------------
+
+
+def test_sylvester_is_the_centralised_solution_of_the_inliers() -> None:
+    rig = rig_of(6)
+    pair = pair_of(rig, 1, turn=4.0)
+    robust, paper = estimate_motion(rig, pair.matches), estimate_motion(rig, pair.matches, method="sylvester")
+    assert paper.motion is not None
+    assert paper.method == "sylvester"
+    moments = [PairMoments.from_matches(m.x[i], m.y[i]) for m, i in zip(pair.matches, robust.inliers, strict=True)]
+    direct = solve_centralized(np.array([c.rotation for c in rig]), moments)
+    between = Rotation.from_matrix(direct.rotation).inv() * paper.motion.rotation
+    assert np.degrees(between.magnitude()) < 0.2  # the inliers are weighted there, not here
+    assert errors(paper, pair.motion, pair.center)[0] < 2.0
