@@ -29,6 +29,10 @@ def images() -> list[Image]:
     return [frame[0] for frame in render_frames(demo_scene(frames=2, size=(480, 360), n_cameras=1, turn_deg=8))]
 
 
+def grey_of(image: Image) -> Image:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
 def box_mask(left: int, top: int, right: int, bottom: int) -> NDArray[np.bool_]:
     mask = np.zeros((360, 480), bool)
     mask[top:bottom, left:right] = True
@@ -77,13 +81,13 @@ def test_a_keypoint_lies_at_the_middle_of_its_blob(sigma: float) -> None:
 
 
 def test_grey_and_colour_give_the_same(images: list[Image], camera: Camera) -> None:
-    colour, grey = detect(images[0], camera), detect(cv2.cvtColor(images[0], cv2.COLOR_BGR2GRAY), camera)
+    colour, grey = detect(images[0], camera), detect(grey_of(images[0]), camera)
     np.testing.assert_array_equal(colour.pixels, grey.pixels)
     np.testing.assert_array_equal(colour.descriptors, grey.descriptors)
 
 
 def test_a_part_of_an_image_in_memory_is_as_good_as_a_copy(images: list[Image], camera: Camera) -> None:
-    grey = cv2.cvtColor(images[0], cv2.COLOR_BGR2GRAY)
+    grey = grey_of(images[0])
     wide = np.zeros((360, 900), np.uint8)
     wide[:, 100:580] = grey
     np.testing.assert_array_equal(detect(wide[:, 100:580], camera).pixels, detect(grey, camera).pixels)

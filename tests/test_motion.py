@@ -187,7 +187,7 @@ def test_collinear_and_duplicated_points_do_not_crash() -> None:
     rig = rig_of(3)
     line = np.column_stack([np.linspace(-0.1, 0.1, 30), np.zeros(30)])
     for points in (line, np.repeat(line[:1], 30, axis=0)):
-        motion = estimate_motion(rig, [Matches(points, points + [0.01, 0.004])] * 3)
+        motion = estimate_motion(rig, [Matches(points, points + np.array([0.01, 0.004]))] * 3)
         assert motion.status.text
 
 

@@ -131,9 +131,7 @@ def test_on_the_axis_of_a_turn_the_object_stands_still_too(rig: Rig) -> None:
     axis = START.translation - camera.center
     turn = Rotation.from_rotvec(np.deg2rad(10) * axis / np.linalg.norm(axis))
     end = RigidTransform.from_components(START.translation, turn * START.rotation)
-    middle = camera.project(START.translation)[0]
-    rim = middle + [150.0, 0.0]
-    pixels = np.array([middle, middle + [3, 4], rim])
+    pixels = camera.project(START.translation) + np.array([[0, 0], [3, 4], [150, 0]])
     features = Features(pixels, camera.normalize(pixels), np.eye(3, 128, dtype=np.float32))
     nothing = (Features.none(), Features.none())
     reference, current = Reference.new(0, (features, *nothing), START), Reference.new(1, (features, *nothing), end)

@@ -1,0 +1,116 @@
+"""The two recordings that come with the project's shared folder: issue 2's figures must hold on them."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.capture import open_session
+from sylpose.results import FramePose, Status
+from sylpose.tracking import track
+
+FloatArray = NDArray[np.float64]
+DATA = Path(__file__).parents[2] / "shared" / "data"
+
+
+def recording(name: str) -> Path:
+    folder = DATA / name
+    if not folder.is_dir():
+        pytest.skip(f"the recording {name} is not here (../shared/data/{name})")
+    return folder
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """Errors of the motion since the first pose, M_k = T_k T_0⁻¹, of all later ones.
+
+    Attributes:
+        found: how many of the true poses were found.
+        degrees, millimetres: (n,) rotation, and displacement of the object's centre.
+    """
+
+    found: int
+    degrees: FloatArray
+    millimetres: FloatArray
+
+
+def score(poses: list[FramePose], folder: Path) -> Score:
+    rows = np.loadtxt(folder / "groundtruth.tum")
+    truth = RigidTransform.from_components(rows[:, 1:4], Rotation.from_quat(rows[:, 4:]))
+    center = np.array(tomllib.loads((folder / "dataset.toml").read_text())["center_world"])
+    solved = {pose.time: pose.world_from_object for pose in poses if pose.world_from_object is not None}
+    times = np.array(list(solved))
+    pairs = []
+    for true, time in zip(truth, rows[:, 0], strict=True):
+        nearest = float(times[np.argmin(np.abs(times - time))])
+        if abs(nearest - time) <= 0.5 * np.diff(rows[:, 0]).min():
+            pairs.append((true, solved[nearest]))
+    true_0, found_0 = pairs[0]
+    # The centre is given for the first true pose; it moves with the object.
+    center = (true_0 * truth[0].inv()).apply(center)
+    degrees, millimetres = [], []
+    for true, found in pairs[1:]:
+        expected, motion = true * true_0.inv(), found * found_0.inv()
+        degrees.append(np.rad2deg((motion.rotation * expected.rotation.inv()).magnitude()))
+        millimetres.append(1e3 * np.linalg.norm(motion.apply(center) - expected.apply(center)))
+    return Score(len(pairs), np.array(degrees), np.array(millimetres))
+
+
+def run(folder: Path) -> list[FramePose]:
+    session = open_session(folder)
+    return [frame.pose for frame in track(session.frames(), session.rig, session.boxes or None)]
+
+
+def test_temple() -> None:
+    """Four cameras of a gantry, seven frames, 46 degrees of turn, no boxes."""
+    folder = recording("temple")
+    poses = run(folder)
+    assert [pose.status for pose in poses] == [Status.FIRST] + [Status.OK] * 6
+    result = score(poses, folder)
+    assert result.found == 7
+    assert result.degrees[-1] <= 0.5
+    assert result.millimetres[-1] <= 0.5
+
+
+def test_board4() -> None:
+    """A hand-held board, four webcams, roughly calibrated; one of them does not see it at first."""
+    folder = recording("board4")
+    poses = run(folder)
+    assert len(poses) == 48
+    result = score(poses, folder)
+    assert result.found >= 46
+    assert np.median(result.degrees) <= 3
+    assert result.degrees.max() <= 6
+    assert np.median(result.millimetres) <= 7
+    # The camera that has no box takes part later.
+    assert sum(pose.inliers[3] > 20 for pose in poses) > 10
+
+
+def test_the_score_is_of_motion_since_the_start() -> None:
+    """Another object's frame and another first pose change nothing; a known error is found."""
+    folder = recording("temple")
+    rows = np.loadtxt(folder / "groundtruth.tum")
+    truth = RigidTransform.from_components(rows[:, 1:4], Rotation.from_quat(rows[:, 4:]))
+    frame = RigidTransform.from_components([0.3, -0.2, 0.1], Rotation.from_rotvec([0.4, 1, 2]))
+    off = RigidTransform.from_rotation(Rotation.from_rotvec([0, 0, np.deg2rad(0.3)]))
+
+    def poses(error: RigidTransform) -> list[FramePose]:
+        found = truth * frame
+        nothing = np.zeros((6, 6)), np.zeros(4, np.int64), np.zeros(4)
+        last = len(rows) - 1
+        return [
+            FramePose(k, rows[k, 0], Status.OK, error * found[k] if k == last else found[k], *nothing)
+            for k in range(len(rows))
+        ]
+
+    exact = score(poses(RigidTransform.identity()), folder)
+    np.testing.assert_allclose(exact.degrees, 0, atol=1e-5)
+    np.testing.assert_allclose(exact.millimetres, 0, atol=1e-6)
+    assert score(poses(off), folder).degrees[-1] == pytest.approx(0.3, abs=1e-5)
+    assert score(poses(off)[2:], folder).found == 5
