@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -35,10 +37,10 @@ def errors(motion: Motion, truth: RigidTransform, center: FloatArray) -> tuple[f
     return float(turn), 1e3 * float(np.linalg.norm(motion.motion.apply(center) - truth.apply(center)))
 
 
-def pair_of(rig: Rig, seed: int, turn: float = 5.0, **options: object) -> simulate.SimulatedPair:
+def pair_of(rig: Rig, seed: int, turn: float = 5.0, **options: Any) -> simulate.SimulatedPair:
     rng = np.random.default_rng(seed)
     motion = simulate.random_motion(turn, 0.02, rng)
-    return simulate.simulate_matches(rig, BODY, motion, rng=rng, **options)  # type: ignore[arg-type]
+    return simulate.simulate_matches(rig, BODY, motion, rng=rng, **options)
 
 
 @settings(max_examples=20, deadline=None)
@@ -63,7 +65,7 @@ def test_exact_without_noise(seed: int, cameras: int, turn: float) -> None:
         (4, {"dead": ("cam_2",)}, 0.4, 2.5),
     ],
 )
-def test_median_error(cameras: int, options: dict[str, object], degrees: float, mm: float) -> None:
+def test_median_error(cameras: int, options: dict[str, Any], degrees: float, mm: float) -> None:
     rig = rig_of(cameras)
     found = []
     for seed in range(9):

@@ -62,9 +62,9 @@ class TermData:
     focal: float
     base_from_reference: RigidTransform | None = None
 
-    def subset(self, mask: NDArray[np.bool_]) -> TermData:
-        """The matches where the mask (n,) is True."""
-        return replace(self, x=self.x[mask], y=self.y[mask])
+    def subset(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> TermData:
+        """The matches that a mask or an index array picks."""
+        return replace(self, x=self.x[index], y=self.y[index])
 
     @property
     def center_x(self) -> FloatArray:

@@ -16,7 +16,7 @@ from sylpose.results import Status
 from sylpose.rig import nearest_point_to_rays
 from sylpose.robust import affine_epipolar_inliers, bisquare, robust_sigma
 
-__all__ = ["MIN_MATCHES", "Fit", "fit_terms", "no_fit", "object_place"]
+__all__ = ["MIN_MATCHES", "Fit", "built_in_starts", "fit_terms", "no_fit", "object_place"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -113,7 +113,7 @@ def fit_terms(
     weights = [mask.astype(float) for mask in seeds]
     iterations = 0
     if sum(w.sum() for w in weights) >= MIN_MATCHES:
-        starts = _starts(data, weights, center) + list(guesses)
+        starts = built_in_starts(data, weights, center) + list(guesses)
         solutions = _solve(data, weights, np.ones(len(data)), center, radius, starts)
         iterations += solutions[0].iterations
         hypotheses += [(s.rotation, s.shift) for s in solutions]
@@ -202,7 +202,7 @@ def _terms(
     return Terms.build([data[i] for i in keep], moments, sigma[list(keep)], center, radius)
 
 
-def _starts(
+def built_in_starts(
     data: Sequence[TermData], weights: Sequence[FloatArray], center: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Turns of the expected size about the axes and the diagonals, each with the shift that the mean points show.
