@@ -7,8 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from sylpose.simulate import demo_scene, write_sequence
+
+# The same examples in every run: what fails fails again. No deadline: machines are shared.
+settings.register_profile("seeded", derandomize=True, deadline=None)
+settings.load_profile("seeded")
 
 FRAMES = 12
 

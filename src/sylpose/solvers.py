@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from sylpose.alignment import Aligned, Sights, align
 from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit, object_place
@@ -44,7 +43,7 @@ def solve_epipolar(
 ) -> Fit:
     """Epipolar geometry against all references at once; what is known of the features' depth is not used."""
     data = [pair.term(rig, base) for pair in pairs]
-    return fit_terms(data, base.world_from_object.translation, radius, _starts(guess, radius), rng)
+    return fit_terms(data, base.world_from_object.translation, radius, [guess], rng)
 
 
 def solve_sylvester(
@@ -60,7 +59,7 @@ def solve_sylvester(
     center = base.world_from_object.translation
     data = [pair.term(rig, base) for pair in pairs]
     near = [i for i, pair in enumerate(pairs) if pair.reference is base]
-    fit = fit_terms([data[i] for i in near], center, radius, _starts(guess, radius), rng)
+    fit = fit_terms([data[i] for i in near], center, radius, [guess], rng)
     if fit.status is Status.OK:
         fit = sylvester_fit([data[i] for i in near], fit, center)
     none = no_fit(data, fit.status)
@@ -89,18 +88,11 @@ def solve_landmarks(
     # solution of few cameras and small turns); epipolar geometry is asked for its opinion.
     young = max(pair.reference.landmarks[pair.camera].seen.max() for pair in pairs) <= YOUNG
     if young or aligned.cost > POOR_COST:
-        other = fit_terms(data, base.world_from_object.translation, radius, _starts(guess, radius), rng)
+        other = fit_terms(data, base.world_from_object.translation, radius, [guess], rng)
         if other.status is Status.OK:
             again = align(sights, other.rotation, other.shift, first_px=4.0)
             aligned = min(aligned, again, key=lambda a: a.cost)
     return _fit_of(aligned, pairs, len(rig))
-
-
-def _starts(guess: Hypothesis, radius: float) -> list[Hypothesis]:
-    """The guess as a start of an epipolar fit; none where it is the identity, whose cost is 0/0."""
-    rotation, shift = guess
-    size = radius * float(Rotation.from_matrix(rotation).magnitude()) + float(np.linalg.norm(shift))
-    return [guess] if size > 1e-3 * radius else []
 
 
 def _without_background(sights: Sequence[tuple[Sights, BoolArray]]) -> list[Sights]:
