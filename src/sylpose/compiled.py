@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["cholesky_solve", "kernel", "rotation_of", "turn_by"]
+__all__ = ["cholesky_solve", "kernel", "rotation_of", "rotvec_of", "turn_by"]
 
 FloatArray = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., object])
@@ -86,3 +86,32 @@ def turn_by(w: FloatArray, rotation: FloatArray, out: FloatArray) -> None:
     for i in range(3):
         for j in range(3):
             out[i, j] = step[i, 0] * rotation[0, j] + step[i, 1] * rotation[1, j] + step[i, 2] * rotation[2, j]
+
+
+@kernel
+def rotvec_of(rotation: FloatArray, out: FloatArray) -> None:
+    """out (3,) becomes the rotation vector of a rotation matrix; the inverse of `rotation_of`."""
+    out[0] = rotation[2, 1] - rotation[1, 2]
+    out[1] = rotation[0, 2] - rotation[2, 0]
+    out[2] = rotation[1, 0] - rotation[0, 1]
+    twice_sine = np.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
+    trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
+    angle = np.arctan2(twice_sine, trace - 1.0)
+    if trace > -0.9:
+        factor = angle / twice_sine if twice_sine > 1e-9 else 0.5
+        for i in range(3):
+            out[i] *= factor
+        return
+    # Near half a turn the antisymmetric part vanishes: the axis is the largest column of R + R' + (1 - trace) I.
+    column = 0
+    for k in range(1, 3):
+        if rotation[k, k] > rotation[column, column]:
+            column = k
+    axis, length, sign = np.empty(3), 0.0, 0.0
+    for i in range(3):
+        axis[i] = rotation[i, column] + rotation[column, i] + (1.0 - trace if i == column else 0.0)
+        length += axis[i] ** 2
+        sign += axis[i] * out[i]
+    length = np.sqrt(length) if sign >= 0.0 else -np.sqrt(length)
+    for i in range(3):
+        out[i] = angle * axis[i] / length

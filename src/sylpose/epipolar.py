@@ -1,309 +1,382 @@
-"""Six degrees of freedom from pair moments: the multi-camera epipolar cost and its Levenberg-Marquardt solver.
+"""The cost of a motion, from each camera's 45 numbers: one part plane, one part epipolar.
 
-A **term** is what one camera saw between a reference frame and the current one. Its rays are turned into the world's
-axes, so that all terms share one pair of unknowns: the motion X_j = R (X_i - g) + g + d about the object's centre g.
-With a1 = (camera's centre at frame i) - g and a2 = (the same at frame j) - g, a match (x, y) of world-axes rays has
+How far along its epipolar line a feature goes depends on its depth. Of that, a plane per term is assumed, its inverse
+depth ρ = α·(1, u, v) unknown beside the motion (weak prior, from where the cameras' rays meet), and a relief about
+it. A feature's distance from where the plane puts it, e = y - image(R x + ρ τ), then has noise s² = 2 σ² across the
+epipolar line (both images' noise) and v = s² + relief along it. With n across and b along the line,
 
-    y' G x = 0,      G = [τ]× R,      τ = R a1 - a2 + d
+    e' V^-1 e = (n·e)² / s² + (b·e)² / v = (1 - κ) |e|² / s² + κ (n·e)² / s²,      κ = 1 - s² / v
 
-and the cost is a sum over terms of vec(G)' M vec(G) / vec(G)' D vec(G): the Sampson error with its denominator
-taken at the mean rays (it hardly varies over a small object). A static camera has a1 = a2. When the reference is not the
-frame that the motion starts from, the known motion between the two moves the camera instead, so several references are
-more terms of the same cost.
+and (n·e)² / s² is the epipolar residual in Sampson's form, r² / σ² with r² = (y'Ex)² / (|PEx|² + |PE'y|²). κ tells how much
+the relief's parallax exceeds the noise: 0 for small motions and flat objects, where the plane halves the error, and
+1 for large ones, where nothing but epipolar geometry is left. Neither the identity nor a planar object is special.
 
-Each term also knows roughly how far away the object is (the point nearest to the cameras' rays, give or take the
-object's radius). Where its mean match goes along the epipolar line is one more residual, weak on purpose: it decides
-only what epipolar geometry leaves open, such as the length of a translation.
+Both parts are quadratic in k = y ⊗ x once their denominators are taken at the mean rays (they hardly vary over a small
+object), so a term's pair moments are all that is needed. κ is measured from the residuals and held fixed within an
+iteration: letting the cost trade it against them is biased towards too much motion.
 
-Source: Sampson error, Hartley & Zisserman, "Multiple View Geometry", section 11.4.3; the generalised epipolar
-constraint, Pless 2003; moments and world-axes form, docs/method.md.
+Source: Sampson error, Hartley & Zisserman, "Multiple View Geometry", section 11.4.3; the generalised epipolar constraint,
+Pless 2003; plane and parallax, ibid. section 13.3; the mixture and its moments are ours (docs/method.md).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.moments import PairMoments
+from sylpose.compiled import kernel
+from sylpose.terms import Stack
 
-__all__ = ["Solution", "TermData", "Terms", "minimize", "normal_equations", "sampson_residuals"]
+__all__ = ["along_variance", "match_residuals", "moments_into", "term_equations", "term_misfit"]
 
 FloatArray = NDArray[np.float64]
 
-# [e_k]x for the three axes: (3, 3, 3).
-_GENERATORS = np.array(
-    [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]], float
-)
+# Weight of the prior relief in its estimate, as a number of matches.
+PRIOR_MATCHES = 3.0
 
 
-@dataclass(frozen=True, eq=False)
-class TermData:
-    """The matches of one camera between one reference frame and the current frame.
-
-    Attributes:
-        camera: index in the rig.
-        x, y: (n, 3) homogeneous normalised points (third coordinate 1) in the reference and in the current frame.
-        rotation: (3, 3) Q of camera_from_world.
-        center: (3,) the camera's centre, world.
-        focal: pixels per normalised unit.
-        base_from_reference: moves the object from where it was in the reference frame to the frame that the motion
-            starts from; None for that frame itself.
-    """
-
-    camera: int
-    x: FloatArray
-    y: FloatArray
-    rotation: FloatArray
-    center: FloatArray
-    focal: float
-    base_from_reference: RigidTransform | None = None
-
-    def subset(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> TermData:
-        """The matches that a mask or an index array picks."""
-        return replace(self, x=self.x[index], y=self.y[index])
-
-    @property
-    def center_x(self) -> FloatArray:
-        """(3,) the camera's centre seen from the object at the motion's start."""
-        if self.base_from_reference is None:
-            return self.center
-        return np.asarray(self.base_from_reference.apply(self.center))
-
-    @property
-    def rotation_x(self) -> FloatArray:
-        """(3, 3) Q of the camera that the object, at the motion's start, sees the reference frame from."""
-        if self.base_from_reference is None:
-            return self.rotation
-        return np.asarray(self.rotation @ self.base_from_reference.rotation.as_matrix().T)
+@kernel
+def _cross(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@dataclass(frozen=True, eq=False)
-class Terms:
-    """All terms of one problem, as stacked arrays (T terms). See the module's text for the symbols.
-
-    Attributes:
-        factor: (T, 9, 9) L with L L' = M, in units of pixels / sigma.
-        denominator: (T, 9, 9) D.
-        a1, a2: (T, 3).
-        prior_point: (T, 3) the mean matched point at its assumed depth, relative to g, at the motion's start.
-        prior_image: (T, 2) mean of y, camera axes, normalised.
-        prior_rotation: (T, 3, 3) Q of the current camera.
-        prior_depth_sd: (T,) standard deviation of that depth.
-        prior_sigma: (T,) floor of the prior's image error, normalised units.
-    """
-
-    factor: FloatArray
-    denominator: FloatArray
-    a1: FloatArray
-    a2: FloatArray
-    prior_point: FloatArray
-    prior_image: FloatArray
-    prior_rotation: FloatArray
-    prior_depth_sd: FloatArray
-    prior_sigma: FloatArray
-
-    @classmethod
-    def build(
-        cls,
-        data: Sequence[TermData],
-        moments: Sequence[PairMoments],
-        sigma_px: FloatArray,
-        center: FloatArray,
-        radius: float,
-    ) -> Terms:
-        """Stack the terms.
-
-        Args:
-            data: T terms; of these only the geometry is read.
-            moments: T pair moments of the terms' matches, camera axes, each with a positive count.
-            sigma_px: (T,) image noise, pixels.
-            center: (3,) g.
-            radius: of the object, length units: how far a feature's depth may be from the centre's.
-        """
-        factors, denominators, priors, images = [], [], [], []
-        for term, m, sigma in zip(data, moments, sigma_px, strict=True):
-            to_world = np.kron(term.rotation, term.rotation_x)
-            values, vectors = np.linalg.eigh(to_world.T @ m.matrix @ to_world)
-            factors.append(vectors * np.sqrt(np.maximum(values, 0.0)) * (term.focal / sigma))
-            mean_x, mean_y = np.append(m.mean_x, 1.0) @ term.rotation_x, np.append(m.mean_y, 1.0) @ term.rotation
-            b1 = np.einsum("ai,j->aij", term.rotation[:2], mean_x).reshape(2, 9)
-            b2 = np.einsum("i,aj->aij", mean_y, term.rotation_x[:2]).reshape(2, 9)
-            denominators.append(b1.T @ b1 + b2.T @ b2)
-            depth = float((term.rotation_x @ (center - term.center_x))[2])
-            priors.append(depth * mean_x + term.center_x - center)
-            images.append(m.mean_y)
-        focal = np.array([term.focal for term in data])
-        return cls(
-            factor=np.array(factors),
-            denominator=np.array(denominators),
-            a1=np.array([term.center_x for term in data]) - center,
-            a2=np.array([term.center for term in data]) - center,
-            prior_point=np.array(priors),
-            prior_image=np.array(images),
-            prior_rotation=np.array([term.rotation for term in data]),
-            prior_depth_sd=np.full(len(data), radius),
-            prior_sigma=2.0 / focal,
-        )
+@kernel
+def _view(
+    stack: Stack,
+    t: int,
+    rotation: FloatArray,
+    shift: FloatArray,
+    rc: FloatArray,
+    tc: FloatArray,
+    turned: FloatArray,
+) -> None:
+    """The motion as term t's camera sees it: rc = Qy R Qx', tc = Qy τ, turned = Qy R a1."""
+    qx, qy, a1, a2 = stack.qx[t], stack.qy[t], stack.a1[t], stack.a2[t]
+    for i in range(3):
+        r0 = qy[i, 0] * rotation[0, 0] + qy[i, 1] * rotation[1, 0] + qy[i, 2] * rotation[2, 0]
+        r1 = qy[i, 0] * rotation[0, 1] + qy[i, 1] * rotation[1, 1] + qy[i, 2] * rotation[2, 1]
+        r2 = qy[i, 0] * rotation[0, 2] + qy[i, 1] * rotation[1, 2] + qy[i, 2] * rotation[2, 2]
+        for j in range(3):
+            rc[i, j] = r0 * qx[j, 0] + r1 * qx[j, 1] + r2 * qx[j, 2]
+        turned[i] = r0 * a1[0] + r1 * a1[1] + r2 * a1[2]
+        tc[i] = turned[i]
+        for j in range(3):
+            tc[i] += qy[i, j] * (shift[j] - a2[j])
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """A minimum of the cost.
-
-    Attributes:
-        rotation: (3, 3) R.
-        shift: (3,) d.
-        cost: at the minimum, prior included; half the sum of squares.
-        converged: whether the last step was negligible.
-        iterations: number of steps tried.
-    """
-
-    rotation: FloatArray
-    shift: FloatArray
-    cost: float
-    converged: bool
-    iterations: int
+@kernel
+def _plane(stack: Stack, t: int, surface: FloatArray, out: FloatArray) -> None:
+    """out (3,): ρ = out·(u, v, 1)."""
+    unit, anchor, spread = stack.inverse_depth[t], stack.anchor[t], stack.spread[t]
+    out[0] = unit * surface[1] / spread
+    out[1] = unit * surface[2] / spread
+    out[2] = unit * surface[0] - out[0] * anchor[0] - out[1] * anchor[1]
 
 
-def _skew(v: FloatArray) -> FloatArray:
-    """(..., 3) -> (..., 3, 3) with [v]x u = v x u."""
-    return np.asarray(np.einsum("...k,kij->...ij", v, _GENERATORS))
+@kernel
+def _line(rc: FloatArray, tc: FloatArray, plane: FloatArray, u: float, v: float, b: FloatArray) -> float:
+    """The direction b (2,) in which depth moves the point (u, v) in the image; returns by how much, per inverse depth."""
+    rho = plane[0] * u + plane[1] * v + plane[2]
+    p0 = rc[0, 0] * u + rc[0, 1] * v + rc[0, 2] + rho * tc[0]
+    p1 = rc[1, 0] * u + rc[1, 1] * v + rc[1, 2] + rho * tc[1]
+    p2 = rc[2, 0] * u + rc[2, 1] * v + rc[2, 2] + rho * tc[2]
+    b[0] = (tc[0] - p0 / p2 * tc[2]) / p2
+    b[1] = (tc[1] - p1 / p2 * tc[2]) / p2
+    length = np.sqrt(b[0] * b[0] + b[1] * b[1])
+    if length > 0.0:
+        b[0] /= length
+        b[1] /= length
+    else:
+        b[0], b[1] = 1.0, 0.0
+    return float(length)
 
 
-def _residuals(terms: Terms, rotation: FloatArray, shift: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Whitened residuals and their derivatives.
+@kernel
+def _add_squares(
+    m: FloatArray, v: FloatArray, n: int, size: int, weight: float, hessian: FloatArray, gradient: FloatArray
+) -> float:
+    """Adds weight v_k' m v_l to the normal equations, v[0] the residual's row and v[k] its derivatives; returns the cost."""
+    row = np.empty(9)
+    cost = 0.0
+    for k in range(n):
+        for i in range(size):
+            s = 0.0
+            for j in range(size):
+                s += m[i, j] * v[k, j]
+            row[i] = weight * s
+        for j in range(k + 1):
+            s = 0.0
+            for i in range(size):
+                s += row[i] * v[j, i]
+            if k == 0:
+                cost = 0.5 * s
+            elif j == 0:
+                gradient[k - 1] += s
+            else:
+                hessian[k - 1, j - 1] += s
+                if j != k:
+                    hessian[j - 1, k - 1] += s
+    return cost
+
+
+@kernel
+def term_equations(
+    m: FloatArray,
+    stack: Stack,
+    t: int,
+    variance: float,
+    kappa: float,
+    rotation: FloatArray,
+    shift: FloatArray,
+    surface: FloatArray,
+    hessian: FloatArray,
+    gradient: FloatArray,
+    full: bool,
+) -> float:
+    """One term's cost and, if `full`, its normal equations in (w, d, α).
 
     Args:
-        rotation: (S, 3, 3) and shift: (S, 3), S candidates at once.
+        m: (9, 9) pair moments of term t, weighted.
+        variance: σ² of an image coordinate, normalised units.
+        surface: (3,) α.
+        hessian: (9, 9) and gradient: (9,), filled.
 
     Returns:
-        residuals (S, T, 10): nine epipolar ones and the prior's; derivatives (S, T, 10, 6) by (w, d).
+        half the weighted sum of squares, prior of α included.
     """
-    turned = np.einsum("sij,tj->sti", rotation, terms.a1)
-    tau = turned - terms.a2 + shift[:, None]
-    rot = rotation[:, None]
-    g = _skew(tau) @ rot
-    # By w_k: [e_k x R a1]x R + [τ]x [e_k]x R; by d_k: [e_k]x R.
-    turn_of_tau = np.einsum("kij,stj->stki", _GENERATORS, turned)
-    generators_r = np.einsum("kij,sjl->skil", _GENERATORS, rotation)[:, None]
-    by_w = _skew(turn_of_tau) @ rot[:, :, None] + _skew(tau)[:, :, None] @ generators_r
-    by_d = np.broadcast_to(generators_r, by_w.shape)
-    v = g.reshape(*g.shape[:2], 9)
-    dv = np.concatenate([by_w, by_d], axis=2).reshape(*g.shape[:2], 6, 9)
-    dvd = np.einsum("sti,tij->stj", v, terms.denominator)
-    norm = np.sqrt(np.maximum(np.einsum("sti,sti->st", dvd, v), 1e-24))[..., None]
-    r = np.einsum("sti,tij->stj", v, terms.factor) / norm
-    dnorm = np.einsum("sti,stki->stk", dvd, dv) / norm  # derivative of the norm
-    dr = (np.einsum("stki,tij->stjk", dv, terms.factor) - r[..., None] * dnorm[:, :, None, :]) / norm[..., None]
-    rp, drp = _prior_residuals(terms, rotation, shift)
-    return np.concatenate([r, rp], axis=2), np.concatenate([dr, drp], axis=2)
+    rc, tc, turned, plane = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    _view(stack, t, rotation, shift, rc, tc, turned)
+    _plane(stack, t, surface, plane)
+    qy, unit, anchor, spread = stack.qy[t], stack.inverse_depth[t], stack.anchor[t], stack.spread[t]
+    count = m[8, 8]
+    x0, x1, y0, y1 = m[8, 6] / count, m[8, 7] / count, m[8, 2] / count, m[8, 5] / count
+    n = 10 if full else 1
+    # The homography R + τ plane' and the essential matrix, then their derivatives by w, d and α.
+    h, e = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
+    for j in range(3):
+        e[0, 0, j] = tc[1] * rc[2, j] - tc[2] * rc[1, j]
+        e[0, 1, j] = tc[2] * rc[0, j] - tc[0] * rc[2, j]
+        e[0, 2, j] = tc[0] * rc[1, j] - tc[1] * rc[0, j]
+        for i in range(3):
+            h[0, i, j] = rc[i, j] + tc[i] * plane[j]
+    if full:
+        dt, u, v = np.empty(3), np.empty(3), np.empty(3)
+        for k in range(3):
+            q = qy[:, k]
+            _cross(q, turned, dt)
+            for j in range(3):
+                _cross(q, rc[:, j], u)
+                _cross(tc, u, v)
+                e[4 + k, :, j] = u
+                e[1 + k, :, j] = v
+                _cross(dt, rc[:, j], v)
+                for i in range(3):
+                    e[1 + k, i, j] += v[i]
+                    h[1 + k, i, j] = u[i] + dt[i] * plane[j]
+                    h[4 + k, i, j] = q[i] * plane[j]
+        for i in range(3):
+            h[7, i, 2] = tc[i] * unit
+            h[8, i, 0] = h[9, i, 1] = tc[i] * unit / spread
+            h[8, i, 2] = -h[8, i, 0] * anchor[0]
+            h[9, i, 2] = -h[9, i, 1] * anchor[1]
+    hessian[: n - 1, : n - 1] = 0.0
+    gradient[: n - 1] = 0.0
+    rows = np.empty((n, 9))
+    cost = 0.0
+    if kappa < 1.0:
+        block = np.empty((6, 6))
+        depth = h[0, 2, 0] * x0 + h[0, 2, 1] * x1 + h[0, 2, 2]
+        for f in range(2):
+            # e_f = (y_f (h_3 x) - h_f x) / depth is linear in the rows f and 3 of y x'.
+            for i in range(3):
+                for j in range(3):
+                    block[i, j] = m[3 * f + i, 3 * f + j]
+                    block[i, 3 + j] = block[3 + j, i] = m[3 * f + i, 6 + j]
+                    block[3 + i, 3 + j] = m[6 + i, 6 + j]
+            for k in range(n):
+                by = (h[k, 2, 0] * x0 + h[k, 2, 1] * x1 + h[k, 2, 2]) / depth if k > 0 else 0.0
+                for j in range(3):
+                    rows[k, j] = h[k, 2, j] / depth
+                    rows[k, 3 + j] = -h[k, f, j] / depth
+                if k > 0:
+                    for j in range(6):
+                        rows[k, j] -= by * rows[0, j]
+            cost += _add_squares(block, rows, n, 6, 0.5 * (1.0 - kappa) / variance, hessian, gradient)
+    if kappa > 0.0:
+        g = _epipolar_rows(e, min(n, 7), x0, x1, y0, y1, rows)
+        if g > 0.0:
+            cost += _add_squares(m, rows, min(n, 7), 9, kappa / variance, hessian, gradient)
+    for j in range(3):
+        off = (surface[j] - stack.surface_mean[t, j]) / stack.surface_sd[t, j]
+        cost += 0.5 * off * off
+        if full:
+            gradient[6 + j] += off / stack.surface_sd[t, j]
+            hessian[6 + j, 6 + j] += 1.0 / stack.surface_sd[t, j] ** 2
+    return cost
 
 
-def _prior_residuals(terms: Terms, rotation: FloatArray, shift: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The depth prior's residual (S, T, 1) and derivative (S, T, 1, 6); its weight is held fixed (no derivative)."""
-    turned = np.einsum("sij,tj->sti", rotation, terms.prior_point)
-    q = terms.prior_rotation
-    p = np.einsum("tij,stj->sti", q, turned - terms.a2 + shift[:, None])
-    z = np.where(np.abs(p[..., 2:]) < 1e-9, 1e-9, p[..., 2:])
-    image = p[..., :2] / z
-    # Derivative of the image point by the point in camera axes: (S, T, 2, 3).
-    jac = np.zeros((*p.shape[:2], 2, 3))
-    jac[..., 0, 0] = jac[..., 1, 1] = 1.0 / z[..., 0]
-    jac[..., 2] = -image / z
-    jac_world = jac @ q
-    # The line of sight in the reference frame, turned with the motion: where unknown depth moves the image point.
-    ray = turned - np.einsum("sij,tj->sti", rotation, terms.a1)
-    ray = ray / np.maximum(np.linalg.norm(ray, axis=-1, keepdims=True), 1e-12)
-    along = np.einsum("stij,stj->sti", jac_world, ray)
-    length = np.linalg.norm(along, axis=-1, keepdims=True)
-    unit = along / np.maximum(length, 1e-12)
-    sd = np.sqrt((length[..., 0] * terms.prior_depth_sd) ** 2 + terms.prior_sigma**2)[..., None]
-    r = np.einsum("sti,sti->st", unit, image - terms.prior_image)[..., None] / sd
-    by_point = np.einsum("sti,stij->stj", unit, jac_world) / sd
-    by_w = np.cross(turned, by_point)  # d(w x p) . n = w . (p x n)
-    return r, np.concatenate([by_w, by_point], axis=-1)[:, :, None, :]
+@kernel
+def _epipolar_rows(e: FloatArray, n: int, x0: float, x1: float, y0: float, y1: float, rows: FloatArray) -> float:
+    """vec(E) / √g and its derivatives as rows (n, 9); returns g, Sampson's denominator at the mean rays."""
+    p0 = e[0, 0, 0] * x0 + e[0, 0, 1] * x1 + e[0, 0, 2]
+    p1 = e[0, 1, 0] * x0 + e[0, 1, 1] * x1 + e[0, 1, 2]
+    o0 = e[0, 0, 0] * y0 + e[0, 1, 0] * y1 + e[0, 2, 0]
+    o1 = e[0, 0, 1] * y0 + e[0, 1, 1] * y1 + e[0, 2, 1]
+    g = p0 * p0 + p1 * p1 + o0 * o0 + o1 * o1
+    if not g > 0.0:
+        return 0.0
+    root = np.sqrt(g)
+    for k in range(n):
+        by = 0.0
+        if k > 0:
+            d = e[k]
+            by = (
+                p0 * (d[0, 0] * x0 + d[0, 1] * x1 + d[0, 2])
+                + p1 * (d[1, 0] * x0 + d[1, 1] * x1 + d[1, 2])
+                + o0 * (d[0, 0] * y0 + d[1, 0] * y1 + d[2, 0])
+                + o1 * (d[0, 1] * y0 + d[1, 1] * y1 + d[2, 1])
+            ) / g
+        for i in range(3):
+            for j in range(3):
+                rows[k, 3 * i + j] = e[k, i, j] / root
+                if k > 0:
+                    rows[k, 3 * i + j] -= by * rows[0, 3 * i + j]
+    return float(g)
 
 
-def normal_equations(
-    terms: Terms, rotation: FloatArray, shift: FloatArray, *, prior: bool
-) -> tuple[FloatArray, FloatArray, float]:
-    """(J'J (6, 6), J'r (6,), half the sum of squares) at one candidate, with or without the depth prior."""
-    r, dr = _residuals(terms, rotation[None], shift[None])
-    if not prior:
-        r, dr = r[:, :, :9], dr[:, :, :9]
-    r, dr = r.reshape(-1), dr.reshape(-1, 6)
-    return dr.T @ dr, dr.T @ r, 0.5 * float(r @ r)
+@kernel
+def along_variance(
+    m: FloatArray,
+    stack: Stack,
+    t: int,
+    variance: float,
+    rotation: FloatArray,
+    shift: FloatArray,
+    surface: FloatArray,
+) -> tuple[float, float]:
+    """κ, and v: the variance of the residuals along the epipolar line, normalised units."""
+    rc, tc, turned, plane, b = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(2)
+    _view(stack, t, rotation, shift, rc, tc, turned)
+    _plane(stack, t, surface, plane)
+    count = m[8, 8]
+    x0, x1 = m[8, 6] / count, m[8, 7] / count
+    length = _line(rc, tc, plane, x0, x1, b)
+    depth = 0.0
+    row = np.empty(9)
+    for j in range(3):
+        h2 = rc[2, j] + tc[2] * plane[j]
+        depth += h2 * (x0 if j == 0 else (x1 if j == 1 else 1.0))
+        row[j], row[3 + j] = b[0] * h2, b[1] * h2
+        row[6 + j] = -b[0] * (rc[0, j] + tc[0] * plane[j]) - b[1] * (rc[1, j] + tc[1] * plane[j])
+    squares = 0.0
+    for i in range(9):
+        s = 0.0
+        for j in range(9):
+            s += m[i, j] * row[j]
+        squares += s * row[i]
+    squares = max(squares, 0.0) / (depth * depth)
+    believed = 2.0 * variance + (stack.relief[t] * stack.inverse_depth[t] * length) ** 2
+    # The plane's three unknowns have taken their share of the squares.
+    v = (squares + PRIOR_MATCHES * believed) / (max(count - 3.0, 0.0) + PRIOR_MATCHES)
+    # Noise alone scatters v; what may be noise, at two standard deviations, is not taken for relief.
+    noise = 2.0 * variance * (1.0 + 2.0 * np.sqrt(2.0 / (count + PRIOR_MATCHES)))
+    if v > noise:
+        return 1.0 - 2.0 * variance / v, v
+    return 0.0, 2.0 * variance
 
 
-def minimize(
-    terms: Terms, rotations: FloatArray, shifts: FloatArray, *, iterations: int = 40, keep: int = 3
-) -> list[Solution]:
-    """Levenberg-Marquardt from several starts at once.
+@kernel
+def term_misfit(
+    m: FloatArray,
+    stack: Stack,
+    t: int,
+    rotation: FloatArray,
+    shift: FloatArray,
+) -> float:
+    """Σ w r²: the epipolar squares alone, normalised units."""
+    rc, tc, turned = np.empty((3, 3)), np.empty(3), np.empty(3)
+    _view(stack, t, rotation, shift, rc, tc, turned)
+    e, row = np.empty((1, 3, 3)), np.empty((1, 9))
+    for j in range(3):
+        e[0, 0, j] = tc[1] * rc[2, j] - tc[2] * rc[1, j]
+        e[0, 1, j] = tc[2] * rc[0, j] - tc[0] * rc[2, j]
+        e[0, 2, j] = tc[0] * rc[1, j] - tc[1] * rc[0, j]
+    count = m[8, 8]
+    g = _epipolar_rows(e, 1, m[8, 6] / count, m[8, 7] / count, m[8, 2] / count, m[8, 5] / count, row)
+    if not g > 0.0:
+        return 0.0
+    squares = 0.0
+    for i in range(9):
+        s = 0.0
+        for j in range(9):
+            s += m[i, j] * row[0, j]
+        squares += s * row[0, i]
+    return max(squares, 0.0)
 
-    Args:
-        rotations: (S, 3, 3) and shifts: (S, 3), the starts; none may be the identity, where the cost is 0/0.
-        iterations: bound on the number of steps.
-        keep: starts that are followed to the end; the others are dropped after five steps.
 
-    Returns:
-        The minima reached, best first.
+@kernel
+def match_residuals(
+    stack: Stack,
+    t: int,
+    rotation: FloatArray,
+    shift: FloatArray,
+    surface: FloatArray,
+    across: FloatArray,
+    along: FloatArray,
+) -> None:
+    """Each of term t's matches' own residuals, filled into across (n,) (signed epipolar distance, Sampson's) and
+    along (n,) (from where the plane puts it), normalised units. A point that the motion takes behind its camera is
+    infinitely far.
     """
-    rotation, shift = rotations.copy(), shifts.copy()
-    r, dr = _flat(*_residuals(terms, rotation, shift))
-    cost = 0.5 * np.einsum("si,si->s", r, r)
-    damping = np.full(len(rotation), 1e-3)
-    converged = np.zeros(len(rotation), dtype=bool)
-    step_count = 0
-    for step_count in range(1, iterations + 1):
-        if step_count == 6 and len(rotation) > keep:
-            best = np.argsort(cost, kind="stable")[:keep]
-            rotation, shift, r, dr, cost, damping, converged = (
-                a[best] for a in (rotation, shift, r, dr, cost, damping, converged)
-            )
-        hessian = np.einsum("sik,sil->skl", dr, dr)
-        gradient = np.einsum("sik,si->sk", dr, r)
-        scale = np.einsum("skk->sk", hessian)
-        damped = hessian + np.einsum("s,sk,kl->skl", damping, scale + 1e-12 * scale.max(), np.eye(6))
-        step = -np.linalg.solve(damped, gradient[..., None])[..., 0]
-        # A turn of more than a radian in one step leaves the region that the derivatives speak of.
-        step /= np.maximum(np.linalg.norm(step[:, :3], axis=1, keepdims=True), 1.0)
-        new_rotation = Rotation.from_rotvec(step[:, :3]).as_matrix() @ rotation
-        new_shift = shift + step[:, 3:]
-        new_r, new_dr = _flat(*_residuals(terms, new_rotation, new_shift))
-        new_cost = 0.5 * np.einsum("si,si->s", new_r, new_r)
-        better = new_cost < cost
-        predicted = -np.einsum("sk,sk->s", step, gradient)
-        converged |= predicted <= 1e-10 * np.maximum(cost, 1e-30)
-        converged |= better & (cost - new_cost <= 1e-10 * cost)
-        rotation[better], shift[better], cost[better] = new_rotation[better], new_shift[better], new_cost[better]
-        r[better], dr[better] = new_r[better], new_dr[better]
-        damping = np.where(better, np.maximum(damping * 0.2, 1e-12), damping * 8.0)
-        if converged.all():
-            break
-    order = np.argsort(cost, kind="stable")
-    return [Solution(rotation[i], shift[i], float(cost[i]), bool(converged[i]), step_count) for i in order]
+    rc, tc, turned, plane, b = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(2)
+    _view(stack, t, rotation, shift, rc, tc, turned)
+    _plane(stack, t, surface, plane)
+    first, last = stack.offsets[t], stack.offsets[t + 1]
+    x, y = stack.x[first:last], stack.y[first:last]
+    for i in range(x.shape[0]):
+        u, v = x[i, 0], x[i, 1]
+        r0 = rc[0, 0] * u + rc[0, 1] * v + rc[0, 2]
+        r1 = rc[1, 0] * u + rc[1, 1] * v + rc[1, 2]
+        r2 = rc[2, 0] * u + rc[2, 1] * v + rc[2, 2]
+        # l = E x, the line in the current image; o = E' y, the one in the reference.
+        l0, l1, l2 = tc[1] * r2 - tc[2] * r1, tc[2] * r0 - tc[0] * r2, tc[0] * r1 - tc[1] * r0
+        c0, c1, c2 = y[i, 1] * tc[2] - tc[1], tc[0] - y[i, 0] * tc[2], y[i, 0] * tc[1] - y[i, 1] * tc[0]
+        o0 = rc[0, 0] * c0 + rc[1, 0] * c1 + rc[2, 0] * c2
+        o1 = rc[0, 1] * c0 + rc[1, 1] * c1 + rc[2, 1] * c2
+        g = l0 * l0 + l1 * l1 + o0 * o0 + o1 * o1
+        rho = plane[0] * u + plane[1] * v + plane[2]
+        p2 = r2 + rho * tc[2]
+        if not p2 > 0.0:
+            across[i] = along[i] = np.inf
+            continue
+        across[i] = (y[i, 0] * l0 + y[i, 1] * l1 + l2) / np.sqrt(g) if g > 0.0 else 0.0
+        p0, p1 = (r0 + rho * tc[0]) / p2, (r1 + rho * tc[1]) / p2
+        b[0], b[1] = tc[0] - p0 * tc[2], tc[1] - p1 * tc[2]
+        length = np.sqrt(b[0] * b[0] + b[1] * b[1])
+        if length > 0.0:
+            along[i] = ((y[i, 0] - p0) * b[0] + (y[i, 1] - p1) * b[1]) / length
+        else:
+            along[i] = np.sqrt((y[i, 0] - p0) ** 2 + (y[i, 1] - p1) ** 2)
 
 
-def _flat(r: FloatArray, dr: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return r.reshape(len(r), -1), dr.reshape(len(dr), -1, 6)
-
-
-def sampson_residuals(
-    term: TermData, center: FloatArray, rotation: FloatArray, shift: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Signed Sampson distance of every match of a term, in pixels, and its squared denominator relative to the mean.
-
-    Returns:
-        residuals (n,), ratio (n,): the second is what the cost's common denominator must be multiplied by.
-    """
-    tau = rotation @ (term.center_x - center) - (term.center - center) + shift
-    essential = term.rotation @ _skew(tau) @ rotation @ term.rotation_x.T
-    ex, ey = term.x @ essential.T, term.y @ essential
-    denominator = (ex[:, :2] ** 2).sum(axis=1) + (ey[:, :2] ** 2).sum(axis=1)
-    mean = max(float(np.mean(denominator)), 1e-24) if len(denominator) else 1.0
-    residual = term.focal * np.einsum("ij,ij->i", term.y, ex) / np.sqrt(np.maximum(denominator, 1e-9 * mean))
-    return residual, denominator / mean
+@kernel
+def moments_into(x: FloatArray, y: FloatArray, weights: FloatArray, m: FloatArray) -> None:
+    """m (9, 9) becomes the pair moments of weighted matches (`PairMoments.from_matches`, without its checks)."""
+    k = np.empty(9)
+    m[:] = 0.0
+    for i in range(x.shape[0]):
+        w = weights[i]
+        if w <= 0.0:
+            continue
+        for a in range(2):
+            k[3 * a], k[3 * a + 1], k[3 * a + 2] = y[i, a] * x[i, 0], y[i, a] * x[i, 1], y[i, a]
+        k[6], k[7], k[8] = x[i, 0], x[i, 1], 1.0
+        for a in range(9):
+            wk = w * k[a]
+            for b in range(a + 1):
+                m[a, b] += wk * k[b]
+    for a in range(9):
+        for b in range(a):
+            m[b, a] = m[a, b]

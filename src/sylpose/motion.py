@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.epipolar import TermData
+from sylpose.compiled import rotvec_of
 from sylpose.features import Matches
-from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit, object_place
+from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit
 from sylpose.moments import PairMoments
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig
 from sylpose.sylvester import solve_centralized, translation_from_means
+from sylpose.terms import TermData, object_place
 
 __all__ = ["METHODS", "covariance_of", "estimate_motion", "motion_about", "observed", "sylvester_fit"]
 
@@ -25,6 +26,8 @@ METHODS = ("epipolar", "sylvester")
 
 # A direction is "not observable" when its standard deviation exceeds this share of the motion itself.
 UNOBSERVABLE_SHARE = 0.5
+# Chi-square of three unknowns that chance exceeds once in a thousand times: below it, a turn may be none.
+CERTAIN_TURN = 16.3
 
 
 def estimate_motion(
@@ -54,7 +57,8 @@ def estimate_motion(
         units of an object at distance 1, unless `center` says where the object is.
 
     Raises:
-        ValueError: as many matches as cameras are needed; an unknown method.
+        ValueError: as many matches as cameras are needed; an unknown method; a center that is not finite or behind a camera
+            that has matches; a radius that is not positive.
 
     Source: Chen & Schonfeld 2010 for "sylvester"; docs/method.md for the rest.
     """
@@ -64,22 +68,23 @@ def estimate_motion(
         )
     if method not in METHODS:
         raise ValueError(f"method: {method!r} is not one of {', '.join(METHODS)}")
+    if radius is not None and not (np.isfinite(radius) and radius > 0):
+        raise ValueError(f"radius: {radius} is not a positive length")
     data = [
-        TermData(c, _homogeneous(m.x), _homogeneous(m.y), camera.rotation, camera.center, camera.focal)
+        TermData(c, m.x, m.y, camera.rotation, camera.center, camera.focal)
         for c, (camera, m) in enumerate(zip(rig, matches, strict=True))
         if len(m)
     ]
-    if sum(len(term.x) for term in data) < MIN_MATCHES:
-        return _motion(rig, matches, data, no_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), method)
+    if sum(len(term) for term in data) < MIN_MATCHES:
+        return _motion(rig, matches, data, no_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), method, 1.0)
     found_center, found_radius = object_place(data)
-    g = found_center if center is None else np.asarray(center, dtype=float)
+    g = found_center if center is None else _place(center, rig, data)
     guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
     size = found_radius if radius is None else radius
     fit = fit_terms(data, g, size, guess, np.random.default_rng(seed))
     if method == "sylvester" and fit.status is Status.OK:
         fit = sylvester_fit(data, fit, g)
-    fit = observed(fit, size)
-    return _motion(rig, matches, data, fit, g, method)
+    return _motion(rig, matches, data, fit, g, method, size)
 
 
 def sylvester_fit(data: Sequence[TermData], robust: Fit, center: FloatArray) -> Fit:
@@ -109,27 +114,41 @@ def sylvester_fit(data: Sequence[TermData], robust: Fit, center: FloatArray) -> 
         rotation=solution.rotation,
         shift=shift,
         information=information,
-        information_with_prior=information,
+        information_without_depth=information,
         iterations=robust.iterations + solution.iterations,
     )
 
 
 def observed(fit: Fit, radius: float) -> Fit:
-    """The fit with its status set to what its information shows: all of it seen, or the scale, or a turn not.
-
-    A turn moves the object's surface by radius times angle, a displacement by its length: in that measure, a direction is
-    not observable when its standard deviation exceeds half of the motion itself (`UNOBSERVABLE_SHARE`).
-    """
+    """The fit with its status set to what its information shows: all of it seen, or the scale, or a turn not."""
     if fit.status is not Status.OK:
         return fit
-    scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
-    values, vectors = np.linalg.eigh(fit.information * np.outer(scale, scale))
-    angle = float(Rotation.from_matrix(fit.rotation).magnitude())
-    size = np.hypot(radius * angle, np.linalg.norm(fit.shift))
-    if values[0] * (UNOBSERVABLE_SHARE * size) ** 2 >= 1.0:
+    open_ = unseen(fit, radius) * np.array([radius] * 3 + [1.0] * 3)
+    if len(open_) == 0:
         return fit
-    of_shift = float((vectors[3:, 0] ** 2).sum())
-    return replace(fit, status=Status.SCALE_NOT_OBSERVABLE if of_shift > 0.5 else Status.TURN_NOT_OBSERVABLE)
+    turn = np.linalg.norm(open_[:, :3], 2) ** 2 > 0.5
+    return replace(fit, status=Status.TURN_NOT_OBSERVABLE if turn else Status.SCALE_NOT_OBSERVABLE)
+
+
+def unseen(fit: Fit, radius: float) -> FloatArray:
+    """The directions (k, 6) of (w, d) that the matches leave open, whatever is believed of the object's distance.
+
+    A turn moves the object's surface by radius times angle, a displacement by its length: in that measure, rows are
+    orthonormal, and a direction is open when its standard deviation exceeds half of the motion itself
+    (`UNOBSERVABLE_SHARE`): even the sign of what it adds is then in doubt. A displacement without a turn has no observable
+    length; a turn that is mere noise must not pretend to one.
+    """
+    scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
+    values, vectors = np.linalg.eigh(fit.information_without_depth * np.outer(scale, scale))
+    turn, length = np.empty(3), float(np.linalg.norm(fit.shift))
+    rotvec_of(fit.rotation, turn)
+    size = np.hypot(radius * np.linalg.norm(turn), length)
+    weak = vectors[:, values * (UNOBSERVABLE_SHARE * size) ** 2 < 1.0].T
+    if len(weak) == 0 and length > radius * np.linalg.norm(turn):
+        of_turn = np.linalg.inv(covariance_of(fit.information)[:3, :3])
+        if turn @ of_turn @ turn < CERTAIN_TURN:
+            weak = np.concatenate([np.zeros(3), fit.shift / length])[None]
+    return np.asarray(weak * scale)
 
 
 def motion_about(center: FloatArray, fit: Fit) -> RigidTransform:
@@ -156,7 +175,13 @@ def covariance_of(information: FloatArray) -> FloatArray:
 
 
 def _motion(
-    rig: Rig, matches: Sequence[Matches], data: Sequence[TermData], fit: Fit, center: FloatArray, method: str
+    rig: Rig,
+    matches: Sequence[Matches],
+    data: Sequence[TermData],
+    fit: Fit,
+    center: FloatArray,
+    method: str,
+    radius: float,
 ) -> Motion:
     """The public result of a fit, with what cannot be observed said."""
     inliers = [np.zeros(len(m), bool) for m in matches]
@@ -165,21 +190,30 @@ def _motion(
         inliers[term.camera] = w > 0
         if (w > 0).any():
             residuals[term.camera] = np.sqrt(np.mean(r[w > 0] ** 2))
-    motion = None
-    if fit.status.has_pose:
-        motion = motion_about(center, fit)
+    fit, open_ = observed(fit, radius), np.empty((0, 6))
+    information = fit.information
+    if fit.status in (Status.SCALE_NOT_OBSERVABLE, Status.TURN_NOT_OBSERVABLE):
+        open_, information = unseen(fit, radius), fit.information_without_depth
     return Motion(
-        fit.status,
-        motion,
-        center,
-        fit.information,
-        covariance_of(fit.information),
-        tuple(inliers),
-        residuals,
-        method,
-        fit.iterations,
+        status=fit.status,
+        motion=motion_about(center, fit) if fit.status.has_pose else None,
+        center=center,
+        information=information,
+        covariance=covariance_of(information),
+        unseen=open_,
+        inliers=tuple(inliers),
+        residuals=residuals,
+        method=method,
+        iterations=fit.iterations,
     )
 
 
-def _homogeneous(points: FloatArray) -> FloatArray:
-    return np.column_stack([points, np.ones(len(points))])
+def _place(center: ArrayLike, rig: Rig, data: Sequence[TermData]) -> FloatArray:
+    """The given centre (3,), once it makes sense."""
+    g = np.asarray(center, dtype=float)
+    if g.shape != (3,) or not np.isfinite(g).all():
+        raise ValueError(f"center: {center!r} is not a point of three finite coordinates")
+    for term in data:
+        if term.rotation[2] @ (g - term.center) <= 0:
+            raise ValueError(f"center: {g.tolist()} is behind camera {rig.names[term.camera]}, which has matches")
+    return g

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.epipolar import TermData
 from sylpose.features import STILL_PX, Features, match_features
 from sylpose.landmarks import Landmarks
 from sylpose.rig import Rig
+from sylpose.terms import TermData
 
 __all__ = ["Pair", "Reference", "inliers_of", "learn_background", "match_pair", "still", "triangulate"]
 
@@ -91,9 +91,9 @@ class Pair:
         moved = None
         if base is not self.reference:
             moved = base.world_from_object * self.reference.world_from_object.inv()
-        ones = np.ones((len(self), 1))
-        x, y = np.hstack([self.normalized_i, ones]), np.hstack([self.normalized_j, ones])
-        return TermData(self.camera, x, y, camera.rotation, camera.center, camera.focal, moved)
+        return TermData(
+            self.camera, self.normalized_i, self.normalized_j, camera.rotation, camera.center, camera.focal, moved
+        )
 
 
 def match_pair(reference: Reference, current: Reference, camera: int) -> Pair:

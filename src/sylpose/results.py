@@ -62,7 +62,10 @@ class Motion:
         motion: world points on the object at frame i -> at frame j, X_j = R X_i + t.
         center: (3,) the object's centre at frame i, world; `information` refers to its displacement.
         information: (6, 6) of (w, d): R = exp(w) R̂, d the displacement of `center` (docs/conventions.md).
-        covariance: (6, 6) its inverse; infinite variance along directions that are not observable.
+        covariance: (6, 6) its inverse; infinite variance along directions that nothing is known of.
+        unseen: (k, 6) directions of (w, d) that the matches leave open, and that the status is about; empty when all six
+            are seen. `information` is then that of the matches alone; else it counts in that the object is where the
+            cameras' rays meet.
         inliers: per camera a mask over its matches.
         residuals: (C,) per camera the rms epipolar residual of its inliers, pixels; NaN without inliers.
         method: the estimator that was used.
@@ -74,6 +77,7 @@ class Motion:
     center: FloatArray
     information: FloatArray
     covariance: FloatArray
+    unseen: FloatArray
     inliers: tuple[BoolArray, ...]
     residuals: FloatArray
     method: str

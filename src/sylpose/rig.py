@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import cv2
@@ -80,20 +81,20 @@ class Camera:
         object.__setattr__(self, "distortion", distortion)
         object.__setattr__(self, "size", (int(self.size[0]), int(self.size[1])))
 
-    @property
+    @cached_property
     def focal(self) -> float:
         """Geometric mean of the two focal lengths, pixels: what turns normalised units into pixels."""
         return float(np.sqrt(self.matrix[0, 0] * self.matrix[1, 1]))
 
-    @property
+    @cached_property
     def rotation(self) -> FloatArray:
         """(3, 3) rotation matrix Q of camera_from_world."""
-        return np.asarray(self.camera_from_world.rotation.as_matrix())
+        return _read_only(self.camera_from_world.rotation.as_matrix())
 
-    @property
+    @cached_property
     def center(self) -> FloatArray:
         """(3,) the camera's centre in the world, o = -Q'q."""
-        return np.asarray(self.camera_from_world.inv().translation)
+        return _read_only(self.camera_from_world.inv().translation)
 
     @property
     def direction(self) -> FloatArray:
@@ -188,6 +189,12 @@ class Rig:
     def subset(self, names: Sequence[str]) -> Rig:
         """The rig of the named cameras, in the order given."""
         return Rig([self[name] for name in names], self.unit)
+
+
+def _read_only(array: FloatArray) -> FloatArray:
+    out = np.array(array)
+    out.setflags(write=False)
+    return out
 
 
 def nearest_point_to_rays(centers: ArrayLike, directions: ArrayLike, near: ArrayLike | None = None) -> FloatArray:

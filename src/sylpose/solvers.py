@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sylpose.alignment import Aligned, Sights, align
-from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit, object_place
+from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit
 from sylpose.landmarks import Landmarks
 from sylpose.motion import sylvester_fit
 from sylpose.reference import Pair, Reference, inliers_of, still
 from sylpose.results import Status
 from sylpose.rig import Rig
+from sylpose.terms import object_place
 
 __all__ = ["SOLVERS", "best_landmarks", "first_motion"]
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.capture import Box, FrameSet
 from sylpose.features import MAX_FEATURES, Features, detect, seen_before
-from sylpose.fit import MIN_MATCHES, Fit, object_place
+from sylpose.fit import MIN_MATCHES, Fit
 from sylpose.landmarks import learn_landmarks
 from sylpose.motion import covariance_of, motion_about, observed
 from sylpose.reference import Pair, Reference, inliers_of, learn_background, match_pair, triangulate
@@ -22,6 +22,7 @@ from sylpose.region import polygon_mask, region_polygon, volume_from_boxes
 from sylpose.results import FramePose, Status
 from sylpose.rig import Rig
 from sylpose.solvers import SOLVERS, best_landmarks, first_motion
+from sylpose.terms import object_place
 
 __all__ = ["METHODS", "TrackedFrame", "Tracker", "track"]
 
@@ -342,7 +343,7 @@ class Tracker:
             inherited += float(w.sum()) / total * (both @ pair.reference.covariance @ both.T)
         # What cannot be observed is bounded: no motion by half a turn or by the object's size is matched.
         bound = np.repeat([np.pi**-2, self._radius**-2], 3)
-        return covariance_of(fit.information_with_prior + np.diag(bound)) + inherited
+        return covariance_of(fit.information + np.diag(bound)) + inherited
 
     def _learn(
         self, current: Reference, inliers: Sequence[Pair], surface: FloatArray | None = None, bulge: float = 0.0

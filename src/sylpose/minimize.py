@@ -1,0 +1,320 @@
+"""The minimum of the cost of `sylpose.epipolar`: Levenberg-Marquardt on the motion, the surfaces eliminated term by term.
+
+The plane part of the cost has no trap at the identity, so that is where the search starts. Few cameras, small turns and
+bodies that are seen through leave mirrored minima (each camera alone always has one: the turn's part across its axis
+reversed, near and far exchanged), so the mirror images of what was found are tried as well, and the likeliest wins.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sylpose.compiled import cholesky_solve, kernel, rotation_of, rotvec_of, turn_by
+from sylpose.epipolar import along_variance, term_equations, term_misfit
+from sylpose.terms import Stack
+
+__all__ = ["information_at", "log_likelihood", "minimize", "search"]
+
+FloatArray = NDArray[np.float64]
+
+# A term whose mean square exceeds the usual one by this factor, or this value, is trusted less while searching.
+TRUST = 4.0
+# So many units of log-likelihood a mirrored minimum must be better than the one that the identity leads to.
+MIRROR_MARGIN = 3.0
+
+
+@kernel
+def _eliminate(hessian: FloatArray, gradient: FloatArray, damping: float, gain: FloatArray) -> bool:
+    """gain (3, 7): a term's surface block solved for its coupling to the motion and for its gradient."""
+    block, column = np.empty((3, 3)), np.empty(3)
+    for k in range(7):
+        for i in range(3):
+            for j in range(3):
+                block[i, j] = hessian[6 + i, 6 + j]
+            block[i, i] *= 1.0 + damping
+            column[i] = hessian[6 + i, k] if k < 6 else gradient[6 + i]
+        if not cholesky_solve(block, column):
+            return False
+        for i in range(3):
+            gain[i, k] = column[i]
+    return True
+
+
+@kernel
+def _reduce(hessian: FloatArray, gradient: FloatArray, gain: FloatArray, total: FloatArray, right: FloatArray) -> None:
+    """Adds a term's normal equations without its surface to total (6, 6) and to right (6,), the negative gradient."""
+    for i in range(6):
+        right[i] -= gradient[i]
+        for k in range(3):
+            right[i] += hessian[i, 6 + k] * gain[k, 6]
+        for j in range(6):
+            s = hessian[i, j]
+            for k in range(3):
+                s -= hessian[i, 6 + k] * gain[k, j]
+            total[i, j] += s
+
+
+@kernel
+def _trusts(costs: FloatArray, moments: FloatArray, trust: FloatArray) -> None:
+    """Trust in each term: little where its mean square is far above what is usual among them."""
+    n = costs.shape[0]
+    squares = np.empty(n)
+    for t in range(n):
+        squares[t] = 2.0 * costs[t] / max(moments[t, 8, 8], 1.0)
+    usual = np.sort(squares)[(n - 1) // 2]
+    for t in range(n):
+        trust[t] = 1.0 / (1.0 + (squares[t] / (TRUST * (usual + 1.0))) ** 2)
+
+
+@kernel
+def minimize(
+    stack: Stack,
+    moments: FloatArray,
+    variance: FloatArray,
+    soft: bool,
+    plane_only: bool,
+    iterations: int,
+    tolerance: float,
+    rotation: FloatArray,
+    shift: FloatArray,
+    surface: FloatArray,
+) -> tuple[int, float]:
+    """Levenberg-Marquardt from one start, which becomes the minimum in place.
+
+    Args:
+        moments: (T, 9, 9), each with a positive count.
+        variance: (T,) σ² per term, normalised units.
+        soft: whether terms that fit much worse than the others are trusted less.
+        plane_only: leaves the epipolar part out (κ = 0), as it must be near the identity with parallax not yet explained.
+        iterations: bound on their number.
+        tolerance: settled when a step promises to lower the cost by less than this: half the square of the step's length in
+            standard deviations of the motion.
+        rotation: (3, 3), shift: (3,), surface: (T, 3): from the start to the minimum.
+
+    Returns:
+        number of iterations; what the last step promised, below `tolerance` where it settled.
+    """
+    n = moments.shape[0]
+    hessian, gradient, gain = np.empty((n, 9, 9)), np.empty((n, 9)), np.empty((n, 3, 7))
+    kappa, costs, trust = np.zeros(n), np.empty(n), np.ones(n)
+    total, right, step = np.empty((6, 6)), np.empty(6), np.empty(6)
+    rotation_, shift_, surface_ = np.empty((3, 3)), np.empty(3), np.empty((n, 3))
+    damping, promise = 1e-4, np.inf
+    for count in range(1, iterations + 1):
+        cost = 0.0
+        for t in range(n):
+            if not plane_only:
+                kappa[t], _ = along_variance(moments[t], stack, t, variance[t], rotation, shift, surface[t])
+            costs[t] = term_equations(
+                moments[t], stack, t, variance[t], kappa[t], rotation, shift, surface[t], hessian[t], gradient[t], True
+            )
+        if soft and n > 2:
+            _trusts(costs, moments, trust)
+        for t in range(n):
+            cost += trust[t] * costs[t]
+        taken = False
+        for _ in range(8):
+            total[:] = 0.0
+            right[:] = 0.0
+            sound = True
+            for t in range(n):
+                sound = sound and _eliminate(hessian[t], gradient[t], damping, gain[t])
+                if not sound:
+                    break
+                if trust[t] == 1.0:
+                    _reduce(hessian[t], gradient[t], gain[t], total, right)
+                else:
+                    _reduce(trust[t] * hessian[t], trust[t] * gradient[t], gain[t], total, right)
+            if sound:
+                # Turns and shifts have different units: each block is damped by its own trace.
+                turns, shifts = total[0, 0] + total[1, 1] + total[2, 2], total[3, 3] + total[4, 4] + total[5, 5]
+                for i in range(3):
+                    total[i, i] += (damping + 1e-12) * turns
+                    total[3 + i, 3 + i] += (damping + 1e-12) * shifts
+                step[:] = right
+                sound = cholesky_solve(total, step)
+            if sound:
+                length = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+                if length > 0.5:  # as far as the derivatives speak of
+                    step *= 0.5 / length
+                turn_by(step[:3], rotation, rotation_)
+                promise = 0.0
+                for i in range(3):
+                    shift_[i] = shift[i] + step[3 + i]
+                for i in range(6):
+                    promise += 0.5 * step[i] * right[i]
+                new = 0.0
+                for t in range(n):
+                    for i in range(3):
+                        surface_[t, i] = surface[t, i] - gain[t, i, 6]
+                        promise += 0.5 * trust[t] * gain[t, i, 6] * gradient[t, 6 + i]
+                        for k in range(6):
+                            surface_[t, i] -= gain[t, i, k] * step[k]
+                    new += trust[t] * term_equations(
+                        moments[t],
+                        stack,
+                        t,
+                        variance[t],
+                        kappa[t],
+                        rotation_,
+                        shift_,
+                        surface_[t],
+                        hessian[t],
+                        gradient[t],
+                        False,
+                    )
+                if new <= cost * (1.0 + 1e-12):
+                    taken = True
+                    break
+            damping = max(10.0 * damping, 1e-4)
+        if not taken:
+            return count, promise
+        rotation[:], shift[:], surface[:] = rotation_, shift_, surface_
+        damping = max(0.1 * damping, 1e-9)
+        if promise < tolerance:
+            return count, promise
+    return iterations, promise
+
+
+@kernel
+def information_at(
+    stack: Stack,
+    moments: FloatArray,
+    variance: FloatArray,
+    rotation: FloatArray,
+    shift: FloatArray,
+    surface: FloatArray,
+    total: FloatArray,
+    without_depth: FloatArray,
+) -> None:
+    """total (6, 6) becomes the information about (w, d), and without_depth what is left of it when nothing is believed of
+    how far away the surfaces are.
+    """
+    hessian, gradient, gain, right = np.empty((9, 9)), np.empty(9), np.empty((3, 7)), np.empty(6)
+    total[:] = 0.0
+    without_depth[:] = 0.0
+    for t in range(moments.shape[0]):
+        kappa, _ = along_variance(moments[t], stack, t, variance[t], rotation, shift, surface[t])
+        term_equations(moments[t], stack, t, variance[t], kappa, rotation, shift, surface[t], hessian, gradient, True)
+        if _eliminate(hessian, gradient, 0.0, gain):
+            _reduce(hessian, gradient, gain, total, right)
+        # A trace of it stays, for a term that does not move at all.
+        hessian[6, 6] -= (1.0 - 1e-9) / stack.surface_sd[t, 0] ** 2
+        if _eliminate(hessian, gradient, 0.0, gain):
+            _reduce(hessian, gradient, gain, without_depth, right)
+
+
+@kernel
+def log_likelihood(
+    stack: Stack,
+    moments: FloatArray,
+    variance: FloatArray,
+    rotation: FloatArray,
+    shift: FloatArray,
+    surface: FloatArray,
+) -> float:
+    """How likely a minimum is, to compare minima by: up to a constant that they share."""
+    total, n = 0.0, moments.shape[0]
+    squares = np.empty(n)
+    for t in range(n):
+        _, v = along_variance(moments[t], stack, t, variance[t], rotation, shift, surface[t])
+        squares[t] = term_misfit(moments[t], stack, t, rotation, shift) / variance[t]
+        squares[t] += moments[t, 8, 8] * np.log(v / (2.0 * variance[t]))
+        for j in range(3):
+            squares[t] += ((surface[t, j] - stack.surface_mean[t, j]) / stack.surface_sd[t, j]) ** 2
+    # A camera gone wrong must not decide: bounded by a multiple of what is usual per match.
+    means = squares.copy()
+    for t in range(n):
+        means[t] /= moments[t, 8, 8]
+    usual = np.sort(means)[(n - 1) // 2]
+    for t in range(n):
+        bound = TRUST * (max(usual, 0.0) + 1.0) if n > 2 else np.inf
+        total += min(means[t], bound) * moments[t, 8, 8]
+    return -0.5 * total
+
+
+@kernel
+def search(
+    stack: Stack,
+    moments: FloatArray,
+    variance: FloatArray,
+    guess_rotations: FloatArray,
+    guess_shifts: FloatArray,
+    rotations: FloatArray,
+    shifts: FloatArray,
+    surfaces: FloatArray,
+    likelihoods: FloatArray,
+) -> int:
+    """Minima from the identity, from its minimum's mirror images and from guesses.
+
+    Args:
+        guess_rotations: (G, 3, 3) and guess_shifts: (G, 3).
+        rotations: (2, 3, 3), shifts: (2, 3), surfaces: (2, T, 3): filled with the likeliest and the next likeliest minimum
+            (the likeliest again where there is no other). likelihoods: (2,) theirs, -inf where there is none.
+
+    Returns:
+        number of iterations.
+    """
+    n, n_guesses = moments.shape[0], guess_rotations.shape[0]
+    rotation, shift, surface = np.eye(3), np.zeros(3), stack.surface_mean.copy()
+    likelihoods[:] = -np.inf
+    # Mirrors: one per camera, at most six of them evenly picked, and the turn reversed altogether.
+    n_mirrors = min(n, 6) + 1
+    turn, mirrored, base_shift = np.zeros(3), np.empty(3), np.zeros(3)
+    count = 0
+    for start in range(1 + n_mirrors + n_guesses):
+        surface[:] = stack.surface_mean
+        if start == 0:
+            done, _ = minimize(stack, moments, variance, True, True, 12, 1.0, rotation, shift, surface)
+            count += done
+        elif start <= n_mirrors:
+            axis = np.zeros(3)
+            if start < n_mirrors:
+                axis[:] = stack.qx[((start - 1) * n) // (n_mirrors - 1), 2]
+            along = 2.0 * (turn[0] * axis[0] + turn[1] * axis[1] + turn[2] * axis[2])
+            for i in range(3):
+                mirrored[i] = along * axis[i] - turn[i]
+            rotation_of(mirrored, rotation)
+            shift[:] = base_shift
+            done, _ = minimize(stack, moments, variance, True, True, 3, 1.0, rotation, shift, surface)
+            count += done
+        else:
+            rotation[:], shift[:] = guess_rotations[start - 1 - n_mirrors], guess_shifts[start - 1 - n_mirrors]
+        done, _ = minimize(stack, moments, variance, True, False, 25, 1e-2, rotation, shift, surface)
+        count += done
+        value = log_likelihood(stack, moments, variance, rotation, shift, surface)
+        if start == 0:
+            rotvec_of(rotation, turn)
+            base_shift[:] = shift
+        elif start <= n_mirrors:
+            value -= MIRROR_MARGIN
+        if not np.isfinite(value):
+            continue
+        for place in range(2):
+            if _same(rotations[place], shifts[place], rotation, shift, likelihoods[place]):
+                break
+            if value > likelihoods[place]:
+                if place == 0:
+                    rotations[1], shifts[1], surfaces[1] = rotations[0], shifts[0], surfaces[0]
+                    likelihoods[1] = likelihoods[0]
+                rotations[place], shifts[place], surfaces[place] = rotation, shift, surface
+                likelihoods[place] = value
+                break
+    if not likelihoods[1] > -np.inf:
+        rotations[1], shifts[1], surfaces[1] = rotations[0], shifts[0], surfaces[0]
+    return count
+
+
+@kernel
+def _same(r1: FloatArray, d1: FloatArray, r2: FloatArray, d2: FloatArray, likelihood: float) -> bool:
+    """Whether two minima are one: a thousandth of a radian and of the shift apart at most."""
+    if not likelihood > -np.inf:
+        return False
+    gap = 0.0
+    for i in range(3):
+        for j in range(3):
+            gap += (r1[i, j] - r2[i, j]) ** 2
+    apart = (d1[0] - d2[0]) ** 2 + (d1[1] - d2[1]) ** 2 + (d1[2] - d2[2]) ** 2
+    length = d1[0] ** 2 + d1[1] ** 2 + d1[2] ** 2
+    return gap < 2e-6 and apart < 1e-4 * length + 1e-300
