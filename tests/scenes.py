@@ -1,18 +1,22 @@
-"""Scenes that the tests of the two-frame core share."""
+"""Scenes that the tests of the two-frame core share, and plain arrays for its compiled parts."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.epipolar import TermData, Terms
 from sylpose.features import Matches
+from sylpose.minimize import search
 from sylpose.moments import PairMoments
 from sylpose.results import Motion
 from sylpose.rig import Rig
 from sylpose.simulate import SimulatedPair, ellipsoid, ring
+from sylpose.terms import Stack, TermData
 
 FloatArray = NDArray[np.float64]
 
@@ -24,27 +28,81 @@ def around(n: int) -> Rig:
     return ring(n, height=[0.4 * (-1) ** k for k in range(n)])
 
 
-def homogeneous(points: FloatArray) -> FloatArray:
-    return np.column_stack([points, np.ones(len(points))])
-
-
 def data_of(rig: Rig, matches: Sequence[Matches]) -> list[TermData]:
-    """One term per camera, as `estimate_motion` makes them."""
+    """One term per camera that has matches, as `estimate_motion` makes them."""
     return [
-        TermData(c, homogeneous(m.x), homogeneous(m.y), camera.rotation, camera.center, camera.focal)
+        TermData(c, m.x, m.y, camera.rotation, camera.center, camera.focal)
         for c, (camera, m) in enumerate(zip(rig, matches, strict=True))
+        if len(m)
     ]
 
 
-def terms_of(data: Sequence[TermData], center: FloatArray, radius: float = 0.15, sigma: float = 0.5) -> Terms:
-    """The cost of all matches, each with weight 1."""
-    moments = [PairMoments.from_matches(term.x, term.y) for term in data]
-    return Terms.build(data, moments, np.full(len(data), sigma), center, radius)
+def carried(data: Sequence[TermData], change: RigidTransform) -> list[TermData]:
+    """The terms of a world that is moved as a whole."""
+    turn = change.rotation.as_matrix()
+    return [replace(t, rotation=t.rotation @ turn.T, center=np.asarray(change.apply(t.center))) for t in data]
+
+
+def moments_of(stack: Stack, weights: FloatArray | None = None) -> FloatArray:
+    """(T, 9, 9) pair moments of all matches, each with weight 1 unless said otherwise."""
+    w = np.ones(len(stack.x)) if weights is None else weights
+    parts = [slice(a, b) for a, b in zip(stack.offsets, stack.offsets[1:], strict=False)]
+    return np.array([PairMoments.from_matches(stack.x[p], stack.y[p], w[p]).matrix for p in parts])
+
+
+def variance_of(stack: Stack, sigma_px: float) -> FloatArray:
+    """(T,) variance of an image coordinate, normalised units."""
+    return np.asarray((sigma_px / stack.focal) ** 2)
+
+
+class Minimum(NamedTuple):
+    """Where `search` ends: R, d, planes (T, 3), log-likelihood, iterations."""
+
+    rotation: FloatArray
+    shift: FloatArray
+    surface: FloatArray
+    likelihood: float
+    iterations: int
+
+
+def search_all(stack: Stack, sigma_px: float) -> list[Minimum]:
+    """The two likeliest minima of all matches, without guesses."""
+    n = len(stack.focal)
+    rotations, shifts, surfaces = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty((2, n, 3))
+    likelihoods = np.empty(2)
+    count = search(
+        stack,
+        moments_of(stack),
+        variance_of(stack, sigma_px),
+        np.empty((0, 3, 3)),
+        np.empty((0, 3)),
+        rotations,
+        shifts,
+        surfaces,
+        likelihoods,
+    )
+    return [Minimum(rotations[k], shifts[k], surfaces[k], float(likelihoods[k]), count) for k in range(2)]
+
+
+def epipolar_px(term: TermData, center: FloatArray, rotation: FloatArray, shift: FloatArray) -> FloatArray:
+    """(n,) signed epipolar distances (Sampson's) of a term's matches, pixels."""
+    tau = rotation @ (term.center_x - center) - (term.center - center) + shift
+    turn = term.rotation @ rotation @ term.rotation_x.T
+    essential = np.cross(np.eye(3), term.rotation @ tau) @ turn
+    x, y = (np.column_stack([points, np.ones(len(term))]) for points in (term.x, term.y))
+    lines_y, lines_x = x @ essential.T, y @ essential
+    g = np.sum(lines_y[:, :2] ** 2, axis=1) + np.sum(lines_x[:, :2] ** 2, axis=1)
+    return np.asarray(term.focal * np.einsum("ni,ni->n", y, lines_y) / np.sqrt(g))
 
 
 def truth(pair: SimulatedPair, center: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The true (R, d) about a centre."""
     return pair.motion.rotation.as_matrix(), np.asarray(pair.motion.apply(center) - center)
+
+
+def turn_between(a: FloatArray, b: FloatArray) -> float:
+    """The angle between two rotation matrices, degrees."""
+    return float(np.rad2deg(Rotation.from_matrix(a @ b.T).magnitude()))
 
 
 def error(pair: SimulatedPair, found: Motion) -> FloatArray:
@@ -62,3 +120,8 @@ def degrees(error: FloatArray) -> float:
 def shift(error: FloatArray) -> float:
     """The length of an error's (6,) displacement."""
     return float(np.linalg.norm(error[3:]))
+
+
+def nees(error: FloatArray, found: Motion) -> float:
+    """An error's square in units of its covariance: 6 on average when the covariance is right."""
+    return float(error @ np.linalg.solve(found.covariance, error))

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from sylpose.compiled import kernel
 from sylpose.terms import Stack
 
-__all__ = ["along_variance", "match_residuals", "moments_into", "term_equations", "term_misfit"]
+__all__ = ["along_variance", "moments_into", "term_equations", "term_misfit", "view_of"]
 
 FloatArray = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def _cross(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
 
 
 @kernel
-def _view(
+def view_of(
     stack: Stack,
     t: int,
     rotation: FloatArray,
@@ -147,7 +147,7 @@ def term_equations(
         half the weighted sum of squares, prior of α included.
     """
     rc, tc, turned, plane = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
-    _view(stack, t, rotation, shift, rc, tc, turned)
+    view_of(stack, t, rotation, shift, rc, tc, turned)
     _plane(stack, t, surface, plane)
     qy, unit, anchor, spread = stack.qy[t], stack.inverse_depth[t], stack.anchor[t], stack.spread[t]
     count = m[8, 8]
@@ -209,11 +209,11 @@ def term_equations(
         if g > 0.0:
             cost += _add_squares(m, rows, min(n, 7), 9, kappa / variance, hessian, gradient)
     for j in range(3):
-        off = (surface[j] - stack.surface_mean[t, j]) / stack.surface_sd[t, j]
+        off = (surface[j] - stack.plane_mean[t, j]) / stack.plane_sd[t, j]
         cost += 0.5 * off * off
         if full:
-            gradient[6 + j] += off / stack.surface_sd[t, j]
-            hessian[6 + j, 6 + j] += 1.0 / stack.surface_sd[t, j] ** 2
+            gradient[6 + j] += off / stack.plane_sd[t, j]
+            hessian[6 + j, 6 + j] += 1.0 / stack.plane_sd[t, j] ** 2
     return cost
 
 
@@ -258,7 +258,7 @@ def along_variance(
 ) -> tuple[float, float]:
     """κ, and v: the variance of the residuals along the epipolar line, normalised units."""
     rc, tc, turned, plane, b = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(2)
-    _view(stack, t, rotation, shift, rc, tc, turned)
+    view_of(stack, t, rotation, shift, rc, tc, turned)
     _plane(stack, t, surface, plane)
     count = m[8, 8]
     x0, x1 = m[8, 6] / count, m[8, 7] / count
@@ -277,7 +277,7 @@ def along_variance(
             s += m[i, j] * row[j]
         squares += s * row[i]
     squares = max(squares, 0.0) / (depth * depth)
-    believed = 2.0 * variance + (stack.relief[t] * stack.inverse_depth[t] * length) ** 2
+    believed = 2.0 * variance + (stack.plane_relief[t] * stack.inverse_depth[t] * length) ** 2
     # The plane's three unknowns have taken their share of the squares.
     v = (squares + PRIOR_MATCHES * believed) / (max(count - 3.0, 0.0) + PRIOR_MATCHES)
     # Noise alone scatters v; what may be noise, at two standard deviations, is not taken for relief.
@@ -297,7 +297,7 @@ def term_misfit(
 ) -> float:
     """Σ w r²: the epipolar squares alone, normalised units."""
     rc, tc, turned = np.empty((3, 3)), np.empty(3), np.empty(3)
-    _view(stack, t, rotation, shift, rc, tc, turned)
+    view_of(stack, t, rotation, shift, rc, tc, turned)
     e, row = np.empty((1, 3, 3)), np.empty((1, 9))
     for j in range(3):
         e[0, 0, j] = tc[1] * rc[2, j] - tc[2] * rc[1, j]
@@ -314,51 +314,6 @@ def term_misfit(
             s += m[i, j] * row[0, j]
         squares += s * row[0, i]
     return max(squares, 0.0)
-
-
-@kernel
-def match_residuals(
-    stack: Stack,
-    t: int,
-    rotation: FloatArray,
-    shift: FloatArray,
-    surface: FloatArray,
-    across: FloatArray,
-    along: FloatArray,
-) -> None:
-    """Each of term t's matches' own residuals, filled into across (n,) (signed epipolar distance, Sampson's) and
-    along (n,) (from where the plane puts it), normalised units. A point that the motion takes behind its camera is
-    infinitely far.
-    """
-    rc, tc, turned, plane, b = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(2)
-    _view(stack, t, rotation, shift, rc, tc, turned)
-    _plane(stack, t, surface, plane)
-    first, last = stack.offsets[t], stack.offsets[t + 1]
-    x, y = stack.x[first:last], stack.y[first:last]
-    for i in range(x.shape[0]):
-        u, v = x[i, 0], x[i, 1]
-        r0 = rc[0, 0] * u + rc[0, 1] * v + rc[0, 2]
-        r1 = rc[1, 0] * u + rc[1, 1] * v + rc[1, 2]
-        r2 = rc[2, 0] * u + rc[2, 1] * v + rc[2, 2]
-        # l = E x, the line in the current image; o = E' y, the one in the reference.
-        l0, l1, l2 = tc[1] * r2 - tc[2] * r1, tc[2] * r0 - tc[0] * r2, tc[0] * r1 - tc[1] * r0
-        c0, c1, c2 = y[i, 1] * tc[2] - tc[1], tc[0] - y[i, 0] * tc[2], y[i, 0] * tc[1] - y[i, 1] * tc[0]
-        o0 = rc[0, 0] * c0 + rc[1, 0] * c1 + rc[2, 0] * c2
-        o1 = rc[0, 1] * c0 + rc[1, 1] * c1 + rc[2, 1] * c2
-        g = l0 * l0 + l1 * l1 + o0 * o0 + o1 * o1
-        rho = plane[0] * u + plane[1] * v + plane[2]
-        p2 = r2 + rho * tc[2]
-        if not p2 > 0.0:
-            across[i] = along[i] = np.inf
-            continue
-        across[i] = (y[i, 0] * l0 + y[i, 1] * l1 + l2) / np.sqrt(g) if g > 0.0 else 0.0
-        p0, p1 = (r0 + rho * tc[0]) / p2, (r1 + rho * tc[1]) / p2
-        b[0], b[1] = tc[0] - p0 * tc[2], tc[1] - p1 * tc[2]
-        length = np.sqrt(b[0] * b[0] + b[1] * b[1])
-        if length > 0.0:
-            along[i] = ((y[i, 0] - p0) * b[0] + (y[i, 1] - p1) * b[1]) / length
-        else:
-            along[i] = np.sqrt((y[i, 0] - p0) ** 2 + (y[i, 1] - p1) ** 2)
 
 
 @kernel

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sylpose.compiled import rotvec_of
-from sylpose.epipolar import match_residuals
 from sylpose.features import STILL_PX
 from sylpose.results import Status
-from sylpose.reweight import robust_fit
-from sylpose.terms import Stack, TermData, stack_terms
+from sylpose.reweight import CUTOFF, match_equations, robust_fit
+from sylpose.terms import SURFACE, Stack, TermData, stack_terms
 
 __all__ = ["MIN_MATCHES", "Fit", "fit_terms", "no_fit"]
 
@@ -86,7 +85,7 @@ def fit_terms(
     n, n_matches = len(stack.focal), len(stack.x)
     rotation, shift = np.eye(3), np.zeros(3)
     weights, across = np.zeros(n_matches), np.zeros(n_matches)
-    sigma_px, spread_px = np.ones(n), np.ones(n)
+    sigma_px = np.ones(n)
     information, without_depth = np.zeros((6, 6)), np.zeros((6, 6))
     iterations, promise = robust_fit(
         stack,
@@ -99,7 +98,6 @@ def fit_terms(
         weights,
         across,
         sigma_px,
-        spread_px,
         information,
         without_depth,
     )
@@ -108,7 +106,7 @@ def fit_terms(
         status = Status.NOT_CONSISTENT
     elif not (promise < SETTLED and np.isfinite(information).all()):
         status = Status.NOT_CONVERGED
-    elif not _is_consistent(stack, usable, weights, rotation, shift, spread_px, sigma_px):
+    elif not _is_consistent(stack, usable, weights, rotation, shift, sigma_px):
         status = Status.NOT_CONSISTENT
     if status is not Status.OK:
         return no_fit(data, status)
@@ -146,7 +144,6 @@ def _is_consistent(
     weights: FloatArray,
     rotation: FloatArray,
     shift: FloatArray,
-    spread_px: FloatArray,
     sigma_px: FloatArray,
 ) -> bool:
     """Whether more matches agree with the fit than would by chance.
@@ -158,19 +155,22 @@ def _is_consistent(
     if inliers >= 0.5 * total:
         return True
     by_chance = 0.0
+    filled = np.empty((5, len(weights)))
     for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
         index = first + np.flatnonzero(usable[first:last])
         if not (weights[first:last] > 0).any():
             continue
-        across, along = np.empty(last - first), np.empty(last - first)
+        variance, relief = (sigma_px[t] / stack.focal[t]) ** 2, stack.relief[t]
         exchanges = range(1, min(len(index), EXCHANGES + 1))
         for k in exchanges:
-            mixed = stack.y.copy()
-            mixed[index] = np.roll(stack.y[index], k, axis=0)
-            match_residuals(stack._replace(y=mixed), t, rotation, shift, stack.surface_mean[t], across, along)
-            with np.errstate(invalid="ignore"):
-                far = np.hypot(across * stack.focal[t] / sigma_px[t], along * stack.focal[t] / spread_px[t])
-            by_chance += float((far[index - first] < 5.0).sum()) / len(exchanges)
+            y = stack.y.copy()
+            y[index] = np.roll(stack.y[index], k, axis=0)
+            mixed = stack._replace(y=y)
+            surface, equations = stack.surface_mean[t], np.empty((6 + SURFACE, 8 + SURFACE))
+            match_equations(
+                mixed, t, usable, rotation, shift, surface, variance, relief, relief, CUTOFF, *filled, equations
+            )
+            by_chance += float((filled[4, index] > 0.0).sum()) / len(exchanges)
     return inliers > 12 + 4.0 * by_chance
 
 

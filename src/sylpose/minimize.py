@@ -14,7 +14,7 @@ from sylpose.compiled import cholesky_solve, kernel, rotation_of, rotvec_of, tur
 from sylpose.epipolar import along_variance, term_equations, term_misfit
 from sylpose.terms import Stack
 
-__all__ = ["information_at", "log_likelihood", "minimize", "search"]
+__all__ = ["log_likelihood", "minimize", "search"]
 
 FloatArray = NDArray[np.float64]
 
@@ -178,34 +178,6 @@ def minimize(
 
 
 @kernel
-def information_at(
-    stack: Stack,
-    moments: FloatArray,
-    variance: FloatArray,
-    rotation: FloatArray,
-    shift: FloatArray,
-    surface: FloatArray,
-    total: FloatArray,
-    without_depth: FloatArray,
-) -> None:
-    """total (6, 6) becomes the information about (w, d), and without_depth what is left of it when nothing is believed of
-    how far away the surfaces are.
-    """
-    hessian, gradient, gain, right = np.empty((9, 9)), np.empty(9), np.empty((3, 7)), np.empty(6)
-    total[:] = 0.0
-    without_depth[:] = 0.0
-    for t in range(moments.shape[0]):
-        kappa, _ = along_variance(moments[t], stack, t, variance[t], rotation, shift, surface[t])
-        term_equations(moments[t], stack, t, variance[t], kappa, rotation, shift, surface[t], hessian, gradient, True)
-        if _eliminate(hessian, gradient, 0.0, gain):
-            _reduce(hessian, gradient, gain, total, right)
-        # A trace of it stays, for a term that does not move at all.
-        hessian[6, 6] -= (1.0 - 1e-9) / stack.surface_sd[t, 0] ** 2
-        if _eliminate(hessian, gradient, 0.0, gain):
-            _reduce(hessian, gradient, gain, without_depth, right)
-
-
-@kernel
 def log_likelihood(
     stack: Stack,
     moments: FloatArray,
@@ -222,7 +194,7 @@ def log_likelihood(
         squares[t] = term_misfit(moments[t], stack, t, rotation, shift) / variance[t]
         squares[t] += moments[t, 8, 8] * np.log(v / (2.0 * variance[t]))
         for j in range(3):
-            squares[t] += ((surface[t, j] - stack.surface_mean[t, j]) / stack.surface_sd[t, j]) ** 2
+            squares[t] += ((surface[t, j] - stack.plane_mean[t, j]) / stack.plane_sd[t, j]) ** 2
     # A camera gone wrong must not decide: bounded by a multiple of what is usual per match.
     means = squares.copy()
     for t in range(n):
@@ -257,14 +229,14 @@ def search(
         number of iterations.
     """
     n, n_guesses = moments.shape[0], guess_rotations.shape[0]
-    rotation, shift, surface = np.eye(3), np.zeros(3), stack.surface_mean.copy()
+    rotation, shift, surface = np.eye(3), np.zeros(3), stack.plane_mean.copy()
     likelihoods[:] = -np.inf
     # Mirrors: one per camera, at most six of them evenly picked, and the turn reversed altogether.
     n_mirrors = min(n, 6) + 1
     turn, mirrored, base_shift = np.zeros(3), np.empty(3), np.zeros(3)
     count = 0
     for start in range(1 + n_mirrors + n_guesses):
-        surface[:] = stack.surface_mean
+        surface[:] = stack.plane_mean
         if start == 0:
             done, _ = minimize(stack, moments, variance, True, True, 12, 1.0, rotation, shift, surface)
             count += done

@@ -24,16 +24,23 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.compiled import kernel
 from sylpose.rig import nearest_point_to_rays
 
-__all__ = ["Stack", "TermData", "object_place", "stack_terms"]
+__all__ = ["SURFACE", "Stack", "TermData", "object_place", "stack_terms"]
 
 FloatArray = NDArray[np.float64]
 
-# What is believed of a camera's visible surface before anything is measured, in radii of the object: it lies nearer than the
-# object's centre by so much, give or take so much; its slope has a standard deviation of 45 degrees' worth; it departs
-# from its plane by so much. The results hardly change when any of these is doubled (docs/method.md).
-SURFACE_NEARER, SURFACE_SD = 0.4, 0.5
-SLOPE_SD = 1.0
-RELIEF_SD = 0.4
+# Unknowns of a term's surface: the inverse depth, in units of that of g, is α·(1, p, q, p², pq, q²) with (p, q) the place in
+# the image, from the anchor and in units of the spread.
+SURFACE = 6
+# What is believed of it before anything is measured, in radii of the object (`object_place`). Bodies are something between
+# flat, at g, and a sphere about g, whose visible side bulges towards the camera by 0.34 and lies 0.72 nearer: half of
+# that, give or take half. Beyond that, offset and curvatures scatter by so much, ...
+BULGE, OFFSET_PER_BULGE = 0.15, 2.1
+OFFSET_SD, CURVATURE_SD = 0.3, 0.12
+# ... slopes by this, with Cauchy's tails, since a plane may be seen at a grazing angle, and the relief about it all is
+SLOPE_SD = 0.4
+RELIEF_SD = 0.25
+# A first look takes a plane through the visible side alone, and all else for relief.
+PLANE_OFFSET, PLANE_OFFSET_SD, PLANE_SLOPE_SD, PLANE_RELIEF_SD = 0.3, 0.3, 1.0, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,12 +95,12 @@ class Stack(NamedTuple):
         offsets: (T + 1,) term t has the matches offsets[t] to offsets[t + 1].
         qx, qy: (T, 3, 3) rotation of the camera in the reference frame and now.
         a1, a2: (T, 3) its centre, relative to g.
-        anchor: (T, 2) median of x: where the surface's inverse depth is anchored.
-        spread: (T,) of x about it.
+        anchor: (T, 2) g in the image of the reference frame: where the surface is anchored.
+        spread: (T,) half of the object's radius there: about the median distance of its points from the anchor.
         inverse_depth: (T,) of g in the reference frame.
-        surface_mean, surface_sd: (T, 3) prior of the surface: inverse depth at the anchor in units of g's, and its slopes,
-            per spread.
-        relief: (T,) prior standard deviation of the inverse depth about that plane, in units of g's.
+        surface_mean: (T, 6), surface_information: (T, 6, 6) prior of the surface (`SURFACE`).
+        relief: (T,) prior standard deviation of the inverse depth about that surface, in units of g's.
+        plane_mean, plane_sd: (T, 3), plane_relief: (T,) the same of a plane, for a first look.
         focal: (T,) pixels per normalised unit.
     """
 
@@ -108,8 +115,11 @@ class Stack(NamedTuple):
     spread: FloatArray
     inverse_depth: FloatArray
     surface_mean: FloatArray
-    surface_sd: FloatArray
+    surface_information: FloatArray
     relief: FloatArray
+    plane_mean: FloatArray
+    plane_sd: FloatArray
+    plane_relief: FloatArray
     focal: FloatArray
 
 
@@ -123,14 +133,19 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> 
     x, offsets = np.concatenate([term.x for term in data]), _offsets(data)
     qx, qy = np.array([term.rotation_x for term in data]), np.array([term.rotation for term in data])
     a1, a2 = np.array([term.center_x for term in data]) - center, np.array([term.center for term in data]) - center
-    anchor, spread = np.empty((len(data), 2)), np.empty(len(data))
-    _medians(x, offsets, anchor, spread)
-    depth = np.maximum(np.abs(np.einsum("tj,tj->t", qx[:, 2], a1)), 1e-12)
+    place = -np.einsum("tij,tj->ti", qx, a1)
+    depth = np.maximum(np.abs(place[:, 2]), 1e-12)
     # An object that reaches to its camera: its depth is bounded as well as can be.
     share = np.minimum(radius / depth, 1.0)
-    spread = np.maximum(spread, 1e-3 * share)
-    mean = np.zeros((len(data), 3))
-    mean[:, 0] = 1.0 / (1.0 - SURFACE_NEARER * share)
+    spread = 0.5 * share
+    bulge = np.array([OFFSET_PER_BULGE, 0.0, 0.0, -1.0, 0.0, -1.0]) * BULGE
+    scatter = np.array([OFFSET_SD, 0.0, 0.0, CURVATURE_SD, CURVATURE_SD, CURVATURE_SD])
+    # In radii; slopes, which are per spread, come on their own.
+    information = np.linalg.inv(np.outer(bulge, bulge) + np.diag(scatter**2 + np.array([0, 1, 1, 0, 0, 0])))
+    scale = np.repeat(1.0 / share[:, None], SURFACE, axis=1)
+    scale[:, 1:3] = 1.0 / (SLOPE_SD * spread[:, None])
+    plane_mean = np.zeros((len(data), 3))
+    plane_mean[:, 0] = 1.0 + PLANE_OFFSET * share
     return Stack(
         x=x,
         y=np.concatenate([term.y for term in data]),
@@ -139,12 +154,15 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> 
         qy=qy,
         a1=a1,
         a2=a2,
-        anchor=anchor,
+        anchor=place[:, :2] / depth[:, None],
         spread=spread,
         inverse_depth=1.0 / depth,
-        surface_mean=mean,
-        surface_sd=np.column_stack([SURFACE_SD * share, SLOPE_SD * spread, SLOPE_SD * spread]),
+        surface_mean=np.eye(1, SURFACE) + share[:, None] * bulge,
+        surface_information=information * scale[:, :, None] * scale[:, None, :],
         relief=RELIEF_SD * share,
+        plane_mean=plane_mean,
+        plane_sd=np.column_stack([PLANE_OFFSET_SD * share, PLANE_SLOPE_SD * spread, PLANE_SLOPE_SD * spread]),
+        plane_relief=PLANE_RELIEF_SD * share,
         focal=np.array([term.focal for term in data]),
     )
 

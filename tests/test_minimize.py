@@ -1,0 +1,232 @@
+"""The minimum of the cost: reached from the identity, the right one of its mirror images, whatever the frame or unit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scenes import BODY, around, carried, data_of, moments_of, search_all, truth, turn_between, variance_of
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.epipolar import along_variance, term_equations
+from sylpose.minimize import MIRROR_MARGIN, log_likelihood, minimize, search
+from sylpose.rig import Rig
+from sylpose.simulate import (
+    Body,
+    SimulatedPair,
+    arc,
+    box,
+    cloud,
+    dome,
+    ellipsoid,
+    plane,
+    random_motion,
+    ring,
+    simulate_matches,
+)
+from sylpose.terms import Stack, object_place, stack_terms
+
+FloatArray = NDArray[np.float64]
+SEEDS = st.integers(0, 2**32 - 1)
+FEW = settings(max_examples=15)
+
+RIGS = {"ring": ring(4), "zigzag": around(3), "arc4": arc(4, 25), "arc3": arc(3, 40), "dome": dome(8)}
+BODIES = {"ellipsoid": ellipsoid((0.15, 0.12, 0.1)), "box": box(), "plane": plane(), "cloud": cloud()}
+
+
+def scene(seed: int, rig: Rig, body: Body = BODY, turn: float = 5.0, noise_px: float = 0.5) -> SimulatedPair:
+    rng = np.random.default_rng(seed)
+    motion = random_motion(turn, rng.uniform(0.005, 0.05), rng)
+    return simulate_matches(rig, body, motion, rng=rng, noise_px=noise_px)
+
+
+def stacked(rig: Rig, pair: SimulatedPair) -> tuple[Stack, FloatArray]:
+    """The problem as `estimate_motion` sets it up, and its centre."""
+    data = data_of(rig, pair.matches)
+    center, radius = object_place(data)
+    return stack_terms(data, center, radius), center
+
+
+def settled(
+    stack: Stack,
+    sigma_px: float,
+    rotation: FloatArray,
+    shift: FloatArray,
+    surface: FloatArray | None = None,
+    iterations: int = 60,
+    tolerance: float = 1e-12,
+) -> tuple[FloatArray, FloatArray, FloatArray, int, float]:
+    """`minimize` from a start, which is left as it is: R, d, surfaces, iterations, last promise."""
+    r, d = rotation.copy(), np.array(shift, dtype=float)
+    alpha = (stack.plane_mean if surface is None else surface).copy()
+    count, promise = minimize(
+        stack, moments_of(stack), variance_of(stack, sigma_px), False, False, iterations, tolerance, r, d, alpha
+    )
+    return r, d, alpha, count, promise
+
+
+def likelihood(stack: Stack, sigma_px: float, rotation: FloatArray, shift: FloatArray, surface: FloatArray) -> float:
+    return log_likelihood(stack, moments_of(stack), variance_of(stack, sigma_px), rotation, shift, surface)
+
+
+# --- the right minimum ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("turn", [1.0, 5.0, 15.0, 40.0])
+@pytest.mark.parametrize("body", ["ellipsoid", "box", "cloud"])
+@pytest.mark.parametrize("rig", RIGS)
+def test_the_search_reaches_the_truth_without_noise(rig: str, body: str, turn: float) -> None:
+    for seed in range(4):
+        pair = scene(seed, RIGS[rig], BODIES[body], turn, noise_px=0)
+        stack, center = stacked(RIGS[rig], pair)
+        best = search_all(stack, 0.02)[0]
+        best_r, best_d, *_ = settled(stack, 1e-4, best.rotation, best.shift, best.surface)
+        rotation, shift = truth(pair, center)
+        # Without noise only the epipolar part is left, whatever is believed of the surface.
+        assert turn_between(best_r, rotation) < 1e-3, seed
+        assert np.linalg.norm(best_d - shift) < 1e-5, seed
+
+
+@pytest.mark.parametrize("turn", [2.0, 8.0, 20.0])
+@pytest.mark.parametrize("body", ["ellipsoid", "plane", "cloud"])
+@pytest.mark.parametrize("rig", [arc(2, 30), arc(3, 30), ring(3)], ids=["arc2", "arc3", "ring3"])
+def test_no_worse_minimum_is_taken_for_the_best(rig: Rig, body: str, turn: float) -> None:
+    """What is found is at least as likely as the minimum that the truth leads to, up to the margin of a mirror image."""
+    worse = []
+    for seed in range(12):
+        pair = scene(seed, rig, BODIES[body], turn)
+        stack, center = stacked(rig, pair)
+        found = search_all(stack, 0.5)[0]
+        near, far = (settled(stack, 0.5, *start) for start in ((found.rotation, found.shift), truth(pair, center)))
+        best, other = likelihood(stack, 0.5, *near[:3]), likelihood(stack, 0.5, *far[:3])
+        if best < other - MIRROR_MARGIN - 0.5:
+            worse.append((seed, round(best, 1), round(other, 1)))
+    assert not worse
+
+
+def test_both_minima_come_back_the_likeliest_first() -> None:
+    for seed in range(6):
+        stack, _ = stacked(arc(2, 30), scene(seed, arc(2, 30), cloud()))
+        first, second = search_all(stack, 0.5)
+        assert first.likelihood >= second.likelihood
+        for found in (first, second):
+            np.testing.assert_allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-9)
+            assert np.linalg.det(found.rotation) == pytest.approx(1.0)
+        assert first.likelihood == pytest.approx(likelihood(stack, 0.5, *first[:3]), abs=MIRROR_MARGIN + 1e-6)
+
+
+# --- bounded, honest ---------------------------------------------------------------------------------------------------
+
+
+@FEW
+@given(SEEDS)
+def test_any_input_ends(seed: int) -> None:
+    """Points without sense: no error, a bound on the work, a rotation."""
+    rng = np.random.default_rng(seed)
+    rig = arc(2, 20)
+    pair = scene(seed, rig)
+    data = [
+        replace(
+            t, x=t.x[:k] * rng.choice([0.0, 1.0, 30.0]), y=rng.standard_normal((k, 2)) * rng.choice([0.0, 1e-3, 10.0])
+        )
+        for t, k in zip(data_of(rig, pair.matches), rng.integers(1, 20, 2), strict=True)
+    ]
+    stack = stack_terms(data, pair.center, 0.15)
+    found = search_all(stack, 0.5)[0]
+    assert found.iterations < 400
+    np.testing.assert_allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-6)
+    assert np.isfinite(found.shift).all()
+
+
+def test_the_number_of_iterations_is_bounded() -> None:
+    pair = scene(3, around(4))
+    stack, center = stacked(around(4), pair)
+    start = np.eye(3), np.zeros(3)
+    *_, count, promise = settled(stack, 0.5, *start, iterations=2)
+    assert count == 2
+    assert promise > 1e-12
+    *_, count, promise = settled(stack, 0.5, *truth(pair, center))
+    assert count < 60
+    assert promise < 1e-12
+
+
+def full_equations(
+    stack: Stack, sigma_px: float, rotation: FloatArray, shift: FloatArray, surface: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Gauss-Newton's Hessian and gradient in all unknowns (w, d, α of all terms), nothing eliminated."""
+    n = len(stack.focal)
+    hessian, gradient = np.zeros((6 + 3 * n, 6 + 3 * n)), np.zeros(6 + 3 * n)
+    for t, (m, v) in enumerate(zip(moments_of(stack), variance_of(stack, sigma_px), strict=True)):
+        h, g = np.empty((9, 9)), np.empty(9)
+        kappa, _ = along_variance(m, stack, t, v, rotation, shift, surface[t])
+        term_equations(m, stack, t, v, kappa, rotation, shift, surface[t], h, g, True)
+        mine = np.r_[:6, 6 + 3 * t : 9 + 3 * t]
+        hessian[np.ix_(mine, mine)] += h
+        gradient[mine] += g
+    return hessian, gradient
+
+
+def test_the_gradient_vanishes_at_the_minimum() -> None:
+    pair = scene(4, around(4))
+    stack, center = stacked(around(4), pair)
+    rotation, shift, surface, *_ = settled(stack, 0.5, *truth(pair, center))
+    hessian, gradient = full_equations(stack, 0.5, rotation, shift, surface)
+    assert gradient @ np.linalg.solve(hessian, gradient) < 1e-8
+
+
+# --- symmetries ---------------------------------------------------------------------------------------------------------
+
+
+@FEW
+@given(SEEDS)
+def test_the_world_frame_changes_nothing(seed: int) -> None:
+    rng, rig = np.random.default_rng(seed), around(4)
+    pair = scene(seed, rig)
+    data = data_of(rig, pair.matches)
+    change = RigidTransform.from_components(5 * rng.standard_normal(3), Rotation.random(rng=rng))
+    turn = change.rotation.as_matrix()
+    here = search_all(stack_terms(data, pair.center, 0.15), 0.5)[0]
+    there = search_all(stack_terms(carried(data, change), np.asarray(change.apply(pair.center)), 0.15), 0.5)[0]
+    assert turn_between(turn.T @ there.rotation @ turn, here.rotation) < 0.01
+    np.testing.assert_allclose(turn.T @ there.shift, here.shift, atol=1e-4)
+    assert there.likelihood == pytest.approx(here.likelihood, abs=0.1)
+
+
+@FEW
+@given(SEEDS, st.floats(1e-3, 1e3))
+def test_the_unit_of_length_changes_nothing(seed: int, scale: float) -> None:
+    rig = around(4)
+    pair = scene(seed, rig)
+    data = data_of(rig, pair.matches)
+    scaled = [replace(t, center=scale * t.center) for t in data]
+    here = search_all(stack_terms(data, pair.center, 0.15), 0.5)[0]
+    there = search_all(stack_terms(scaled, scale * pair.center, scale * 0.15), 0.5)[0]
+    assert turn_between(there.rotation, here.rotation) < 1e-4
+    np.testing.assert_allclose(there.shift / scale, here.shift, atol=1e-6)
+
+
+@FEW
+@given(SEEDS)
+def test_the_order_of_terms_changes_nothing(seed: int) -> None:
+    rng, rig = np.random.default_rng(seed), around(4)
+    pair = scene(seed, rig)
+    data = data_of(rig, pair.matches)
+    here = search_all(stack_terms(data, pair.center, 0.15), 0.5)[0]
+    there = search_all(stack_terms([data[k] for k in rng.permutation(4)], pair.center, 0.15), 0.5)[0]
+    assert turn_between(there.rotation, here.rotation) < 0.01
+    np.testing.assert_allclose(there.shift, here.shift, atol=1e-4)
+
+
+def test_a_guess_is_tried() -> None:
+    """The truth given as a guess: never less likely than without."""
+    rig = arc(2, 30)
+    pair = scene(2, rig, cloud(), 20.0)
+    stack, center = stacked(rig, pair)
+    rotation, shift = truth(pair, center)
+    places = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty((2, 2, 3)), np.empty(2)
+    search(stack, moments_of(stack), variance_of(stack, 0.5), rotation[None], shift[None], *places)
+    assert places[3][0] >= search_all(stack, 0.5)[0].likelihood - 1e-3
