@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from scenes import BODY, around, data_of, epipolar_px, truth, turn_between
 from scipy.spatial.transform import Rotation
 
-from sylpose.reweight import CUTOFF, match_equations, robust_fit
+from sylpose.quadric import match_equations
+from sylpose.reweight import CUTOFF
+from sylpose.robust_fit import robust_fit
 from sylpose.rig import Rig
 from sylpose.simulate import SimulatedPair, arc, random_motion, simulate_matches
 from sylpose.terms import SURFACE, Stack, object_place, stack_terms

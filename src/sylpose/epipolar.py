@@ -33,6 +33,8 @@ FloatArray = NDArray[np.float64]
 
 # Weight of the prior relief in its estimate, as a number of matches.
 PRIOR_MATCHES = 3.0
+# Sampson's denominator, in squares of the unit of length, of an epipolar geometry that is nothing but rounding.
+TINY = 1e-28
 
 
 @kernel
@@ -225,7 +227,7 @@ def _epipolar_rows(e: FloatArray, n: int, x0: float, x1: float, y0: float, y1: f
     o0 = e[0, 0, 0] * y0 + e[0, 1, 0] * y1 + e[0, 2, 0]
     o1 = e[0, 0, 1] * y0 + e[0, 1, 1] * y1 + e[0, 2, 1]
     g = p0 * p0 + p1 * p1 + o0 * o0 + o1 * o1
-    if not g > 0.0:
+    if not g > TINY:
         return 0.0
     root = np.sqrt(g)
     for k in range(n):

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sylpose.compiled import rotvec_of
 from sylpose.features import STILL_PX
+from sylpose.quadric import match_equations
 from sylpose.results import Status
-from sylpose.reweight import CUTOFF, match_equations, robust_fit
+from sylpose.reweight import CUTOFF
+from sylpose.robust_fit import robust_fit
 from sylpose.terms import SURFACE, Stack, TermData, stack_terms
 
 __all__ = ["MIN_MATCHES", "Fit", "fit_terms", "no_fit"]
@@ -26,10 +28,12 @@ MIN_MATCHES = 8
 FAR_PX = 6.0
 # Quadruples that a term's seeds are drawn with, at most.
 QUADRUPLES = 300
-# A solver's last step that promised more than this (half its square, in standard deviations) had not settled.
-SETTLED = 0.02
-# Chi-square of six unknowns that chance exceeds once in a thousand times: below it, a motion may be none.
+# A solver whose last step was half a standard deviation long (this is half its square) had not settled.
+SETTLED = 0.125
+# Chi-square of six unknowns that chance exceeds once in a thousand times: what no motion at all must cost more.
 CERTAIN_MOTION = 22.5
+# So large a share of inliers is not had by chance.
+CERTAIN_SHARE = 0.7
 # Times that partners are exchanged to measure chance.
 EXCHANGES = 8
 
@@ -86,7 +90,7 @@ def fit_terms(
     rotation, shift = np.eye(3), np.zeros(3)
     weights, across = np.zeros(n_matches), np.zeros(n_matches)
     sigma_px = np.ones(n)
-    information, without_depth = np.zeros((6, 6)), np.zeros((6, 6))
+    information, without_depth, noise = np.zeros((3, 6, 6))
     iterations, promise = robust_fit(
         stack,
         usable,
@@ -100,6 +104,7 @@ def fit_terms(
         sigma_px,
         information,
         without_depth,
+        noise,
     )
     status = Status.OK
     if not (weights > 0).sum() >= MIN_MATCHES:
@@ -110,10 +115,9 @@ def fit_terms(
         status = Status.NOT_CONSISTENT
     if status is not Status.OK:
         return no_fit(data, status)
-    motion = np.concatenate([np.empty(3), shift])
-    rotvec_of(rotation, motion[:3])
-    if motion @ information @ motion < CERTAIN_MOTION:
+    if _stands_still(stack, weights, across, sigma_px):
         status, rotation, shift = Status.NO_MOTION, np.eye(3), np.zeros(3)
+    information, without_depth = _without_noise(information, noise), _without_noise(without_depth, noise)
     return Fit(
         status,
         rotation,
@@ -124,6 +128,33 @@ def fit_terms(
         without_depth,
         int(iterations),
     )
+
+
+def _stands_still(stack: Stack, weights: FloatArray, across: FloatArray, sigma_px: FloatArray) -> bool:
+    """Whether no motion at all explains the inliers as well as the fitted one does.
+
+    Its distances have two coordinates per match, of which the fit leaves one; the other, along the epipolar lines, is
+    counted as if it were all noise.
+    """
+    scale = np.repeat(stack.focal / sigma_px, np.diff(stack.offsets))
+    stood = 0.5 * ((stack.y - stack.x) ** 2).sum(axis=1) * scale**2
+    moved = (across * scale / np.repeat(stack.focal, np.diff(stack.offsets))) ** 2 + 1.0
+    return bool(weights @ (stood - moved) < CERTAIN_MOTION)
+
+
+def _without_noise(information: FloatArray, noise: FloatArray) -> FloatArray:
+    """Information (6, 6) less the part that noise alone put there.
+
+    With both as quadratic forms in axes where the information is the identity: (1 - ν)² of each axis is left, the
+    sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A trace always stays.
+    """
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-12 * max(float(np.diag(information).max()), 1e-300)))
+    values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
+    root = np.sqrt(np.maximum(values, 1e-14 * float(values[-1])))
+    to_identity = unit[:, None] * vectors / root
+    spoilt, axes = np.linalg.eigh(to_identity.T @ noise @ to_identity)
+    half = (vectors * root / unit[:, None]) @ axes * np.clip(1.0 - spoilt, 1e-3, 1.0)
+    return np.asarray(half @ half.T)
 
 
 def _not_background(stack: Stack) -> BoolArray:
@@ -152,10 +183,11 @@ def _is_consistent(
     best of many hypotheses finds more of them, hence the factor; six it can always satisfy.
     """
     inliers, total = int((weights > 0).sum()), int(usable.sum())
-    if inliers >= 0.5 * total:
+    if inliers >= CERTAIN_SHARE * total:
         return True
     by_chance = 0.0
-    filled = np.empty((5, len(weights)))
+    filled: tuple[Any, ...] = tuple(np.empty((5, len(weights))))
+    no_noise = np.empty((0, 0))
     for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
         index = first + np.flatnonzero(usable[first:last])
         if not (weights[first:last] > 0).any():
@@ -168,9 +200,21 @@ def _is_consistent(
             mixed = stack._replace(y=y)
             surface, equations = stack.surface_mean[t], np.empty((6 + SURFACE, 8 + SURFACE))
             match_equations(
-                mixed, t, usable, rotation, shift, surface, variance, relief, relief, CUTOFF, *filled, equations
+                mixed,
+                t,
+                usable,
+                rotation,
+                shift,
+                surface,
+                variance,
+                relief,
+                relief,
+                CUTOFF,
+                *filled,
+                equations,
+                no_noise,
             )
-            by_chance += float((filled[4, index] > 0.0).sum()) / len(exchanges)
+            by_chance += float((filled[4][index] > 0.0).sum()) / len(exchanges)
     return inliers > 12 + 4.0 * by_chance
 
 

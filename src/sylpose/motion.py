@@ -194,9 +194,14 @@ def _motion(
     information = fit.information
     if fit.status in (Status.SCALE_NOT_OBSERVABLE, Status.TURN_NOT_OBSERVABLE):
         open_, information = unseen(fit, radius), fit.information_without_depth
+    if fit.status is Status.SCALE_NOT_OBSERVABLE:
+        for row in open_:
+            # What is in a length that is not observable is not known at all, whatever the linearised model says.
+            along = information @ row
+            information = information - np.outer(along, along) / max(float(row @ along), 1e-300)
     return Motion(
         status=fit.status,
-        motion=motion_about(center, fit) if fit.status.has_pose else None,
+        motion=motion_about(center, fit) if fit.status.has_pose or len(open_) else None,
         center=center,
         information=information,
         covariance=covariance_of(information),

@@ -58,8 +58,9 @@ class Motion:
     """The object's motion between two frames, with how well it is known.
 
     Attributes:
-        status: see `Status`; when `not status.has_pose`, `motion` is None.
-        motion: world points on the object at frame i -> at frame j, X_j = R X_i + t.
+        status: see `Status`.
+        motion: world points on the object at frame i -> at frame j, X_j = R X_i + t. None when `not status.has_pose`, but
+            for a turn that is not observable: then the best guess, of which the part in `unseen` means nothing.
         center: (3,) the object's centre at frame i, world; `information` refers to its displacement.
         information: (6, 6) of (w, d): R = exp(w) R̂, d the displacement of `center` (docs/conventions.md).
         covariance: (6, 6) its inverse; infinite variance along directions that nothing is known of.

@@ -1,0 +1,131 @@
+"""From matches to one robust motion, compiled from end to end: seeds, search, re-weighting."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sylpose.compiled import kernel
+from sylpose.epipolar import moments_into
+from sylpose.minimize import search
+from sylpose.reweight import reweight
+from sylpose.robust import hyperplane_inliers
+from sylpose.terms import SURFACE, Stack
+
+__all__ = ["robust_fit"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+# Distance from the affine epipolar constraint that perspective and noise explain.
+SEED_PX = 1.0
+# Noise of the seeds, pixels: bounds of what is read off their distances from the hyperplane.
+SEED_SIGMA_PX = (0.15, 1.5)
+# A second hypothesis is refined as well when its log-likelihood comes so near to the first one's.
+SECOND_CHANCE = 20.0
+
+
+@kernel
+def robust_fit(
+    stack: Stack,
+    usable: BoolArray,
+    picks: FloatArray,
+    guess_rotations: FloatArray,
+    guess_shifts: FloatArray,
+    rotation: FloatArray,
+    shift: FloatArray,
+    weights: FloatArray,
+    across: FloatArray,
+    sigma_px: FloatArray,
+    information: FloatArray,
+    without_depth: FloatArray,
+    noise: FloatArray,
+) -> tuple[int, float]:
+    """One robust motion: seeds per term, minima of all seeds together, the best of them re-weighted.
+
+    Args:
+        usable: (N,) matches that may be inliers.
+        picks: (h, 4) in [0, 1): draw the seeds' quadruples.
+        guess_rotations: (G, 3, 3), guess_shifts: (G, 3).
+        rotation: (3, 3), shift: (3,), weights: (N,), across: (N,) pixels, sigma_px: (T,),
+            information, without_depth, noise: (6, 6) (`reweight`): filled.
+
+    Returns:
+        iterations of the solver; what its last step promised (`minimize`), infinite where there is no fit.
+    """
+    n, n_matches = stack.focal.shape[0], stack.x.shape[0]
+    moments, variance = np.empty((n, 9, 9)), np.empty(n)
+    _seed(stack, usable, picks, weights, sigma_px)
+    for t in range(n):
+        first, last = stack.offsets[t], stack.offsets[t + 1]
+        moments_into(stack.x[first:last], stack.y[first:last], weights[first:last], moments[t])
+        if not moments[t, 8, 8] > 0.0:
+            moments[t, 8, 8] = 1e-9
+        variance[t] = (sigma_px[t] / stack.focal[t]) ** 2
+    rotations, shifts, planes = np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros((2, n, 3))
+    likelihoods, first_sigma = np.empty(2), sigma_px.copy()
+    iterations = search(stack, moments, variance, guess_rotations, guess_shifts, rotations, shifts, planes, likelihoods)
+    best, promise = np.inf, np.inf
+    weights_, across_, sigma_ = np.zeros(n_matches), np.zeros(n_matches), np.empty(n)
+    information_, without_, noise_ = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    surface = np.empty((n, SURFACE))
+    for k in range(2):
+        if not likelihoods[k] > likelihoods[0] - SECOND_CHANCE:
+            continue
+        sigma_[:] = first_sigma
+        surface[:] = stack.surface_mean
+        for t in range(n):
+            for j in range(1, 3):
+                surface[t, j] = planes[k, t, j]
+        done, promised, cost = reweight(
+            stack,
+            usable,
+            rotations[k],
+            shifts[k],
+            surface,
+            sigma_,
+            weights_,
+            across_,
+            information_,
+            without_,
+            noise_,
+        )
+        iterations += done
+        if cost < best:
+            best, promise = cost, promised
+            rotation[:], shift[:], weights[:], across[:] = rotations[k], shifts[k], weights_, across_
+            sigma_px[:], information[:], without_depth[:], noise[:] = sigma_, information_, without_, noise_
+    return iterations, promise
+
+
+@kernel
+def _seed(stack: Stack, usable: BoolArray, picks: FloatArray, weights: FloatArray, sigma_px: FloatArray) -> None:
+    """Each term's matches that one motion can explain: weights (N,) of 1 or 0, and their noise (T,)."""
+    n, n_matches = stack.focal.shape[0], stack.x.shape[0]
+    x, y, index = np.empty((n_matches, 2)), np.empty((n_matches, 2)), np.empty(n_matches, np.int64)
+    mine = np.empty(n_matches)
+    lower, upper = SEED_SIGMA_PX
+    usual, known = 0.0, 0
+    for t in range(n):
+        count = 0
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            weights[i] = 0.0
+            if usable[i]:
+                x[count, 0], x[count, 1] = stack.x[i, 0], stack.x[i, 1]
+                y[count, 0], y[count, 1] = stack.y[i, 0], stack.y[i, 1]
+                index[count] = i
+                count += 1
+        rms = hyperplane_inliers(x[:count], y[:count], SEED_PX / stack.focal[t], picks, mine[:count])
+        kept = 0
+        for k in range(count):
+            weights[index[k]] = mine[k]
+            kept += mine[k] > 0.0
+        sigma_px[t] = 0.0
+        if kept >= 8:
+            # The hyperplane spans both frames' coordinates, as Sampson's distance does.
+            sigma_px[t] = min(max(rms * stack.focal[t], lower), upper)
+            usual += sigma_px[t]
+            known += 1
+    for t in range(n):
+        if sigma_px[t] == 0.0:
+            sigma_px[t] = usual / known if known > 0 else 1.0
