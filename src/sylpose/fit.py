@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +27,8 @@ MIN_MATCHES = 8
 FAR_PX = 6.0
 # Quadruples that a term's seeds are drawn with, at most.
 QUADRUPLES = 300
-# A solver whose last step was half a standard deviation long (this is half its square) had not settled.
-SETTLED = 0.125
+# A solver whose last step was a standard deviation long (this is half its square) had not settled.
+SETTLED = 0.5
 # Chi-square of six unknowns that chance exceeds once in a thousand times: what no motion at all must cost more.
 CERTAIN_MOTION = 22.5
 # So large a share of inliers is not had by chance.
@@ -186,7 +185,7 @@ def _is_consistent(
     if inliers >= CERTAIN_SHARE * total:
         return True
     by_chance = 0.0
-    filled: tuple[Any, ...] = tuple(np.empty((5, len(weights))))
+    distance, across, along, parallax, agree = np.empty((5, len(weights)))
     no_noise = np.empty((0, 0))
     for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
         index = first + np.flatnonzero(usable[first:last])
@@ -210,11 +209,15 @@ def _is_consistent(
                 relief,
                 relief,
                 CUTOFF,
-                *filled,
+                distance,
+                across,
+                along,
+                parallax,
+                agree,
                 equations,
                 no_noise,
             )
-            by_chance += float((filled[4][index] > 0.0).sum()) / len(exchanges)
+            by_chance += float((agree[index] > 0.0).sum()) / len(exchanges)
     return inliers > 12 + 4.0 * by_chance
 
 

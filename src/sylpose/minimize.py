@@ -20,8 +20,8 @@ FloatArray = NDArray[np.float64]
 
 # A term whose mean square exceeds the usual one by this factor, or this value, is trusted less while searching.
 TRUST = 4.0
-# So many units of log-likelihood a mirrored minimum must be better than the one that the identity leads to.
-MIRROR_MARGIN = 3.0
+# Mirror images that are tried, at most, beside the turn reversed.
+MIRRORS = 4
 
 
 @kernel
@@ -222,71 +222,110 @@ def search(
 
     Args:
         guess_rotations: (G, 3, 3) and guess_shifts: (G, 3).
-        rotations: (2, 3, 3), shifts: (2, 3), surfaces: (2, T, 3): filled with the likeliest and the next likeliest minimum
-            (the likeliest again where there is no other). likelihoods: (2,) theirs, -inf where there is none.
+        rotations: (K, 3, 3), shifts: (K, 3), surfaces: (K, T, 3), likelihoods: (K,): filled with the K likeliest minima,
+            best first; -inf where there are no more.
 
     Returns:
         number of iterations.
     """
     n, n_guesses = moments.shape[0], guess_rotations.shape[0]
-    rotation, shift, surface = np.eye(3), np.zeros(3), stack.plane_mean.copy()
+    rotation, shift, surface = np.eye(3), np.zeros(3), np.empty((n, 3))
     likelihoods[:] = -np.inf
-    # Mirrors: one per camera, at most six of them evenly picked, and the turn reversed altogether.
-    n_mirrors = min(n, 6) + 1
-    turn, mirrored, base_shift = np.zeros(3), np.empty(3), np.zeros(3)
+    axes = np.zeros((MIRRORS + 1, 3))
+    n_mirrors = _mirror_axes(stack, axes)
+    turn, mirrored, base_shift, base_surface = np.zeros(3), np.empty(3), np.zeros(3), np.zeros((n, 3))
     count = 0
-    for start in range(1 + n_mirrors + n_guesses):
+    # Each mirror image twice: with near and far exchanged, and after a fresh look at it as a plane.
+    for start in range(1 + 2 * n_mirrors + n_guesses):
+        mirror, guess = (start - 1) // 2, start - 1 - 2 * n_mirrors
         surface[:] = stack.plane_mean
         if start == 0:
             done, _ = minimize(stack, moments, variance, True, True, 12, 1.0, rotation, shift, surface)
             count += done
-        elif start <= n_mirrors:
-            axis = np.zeros(3)
-            if start < n_mirrors:
-                axis[:] = stack.qx[((start - 1) * n) // (n_mirrors - 1), 2]
+        elif guess < 0:
+            axis = axes[mirror]
             along = 2.0 * (turn[0] * axis[0] + turn[1] * axis[1] + turn[2] * axis[2])
             for i in range(3):
                 mirrored[i] = along * axis[i] - turn[i]
             rotation_of(mirrored, rotation)
             shift[:] = base_shift
-            done, _ = minimize(stack, moments, variance, True, True, 3, 1.0, rotation, shift, surface)
-            count += done
+            if start % 2 == 1:
+                for t in range(n):
+                    surface[t, 1], surface[t, 2] = -base_surface[t, 1], -base_surface[t, 2]
+            else:
+                done, _ = minimize(stack, moments, variance, True, True, 4, 1.0, rotation, shift, surface)
+                count += done
         else:
-            rotation[:], shift[:] = guess_rotations[start - 1 - n_mirrors], guess_shifts[start - 1 - n_mirrors]
+            rotation[:], shift[:] = guess_rotations[guess], guess_shifts[guess]
         done, _ = minimize(stack, moments, variance, True, False, 25, 1e-2, rotation, shift, surface)
         count += done
         value = log_likelihood(stack, moments, variance, rotation, shift, surface)
         if start == 0:
             rotvec_of(rotation, turn)
             base_shift[:] = shift
-        elif start <= n_mirrors:
-            value -= MIRROR_MARGIN
-        if not np.isfinite(value):
-            continue
-        for place in range(2):
-            if _same(rotations[place], shifts[place], rotation, shift, likelihoods[place]):
-                break
-            if value > likelihoods[place]:
-                if place == 0:
-                    rotations[1], shifts[1], surfaces[1] = rotations[0], shifts[0], surfaces[0]
-                    likelihoods[1] = likelihoods[0]
-                rotations[place], shifts[place], surfaces[place] = rotation, shift, surface
-                likelihoods[place] = value
-                break
-    if not likelihoods[1] > -np.inf:
-        rotations[1], shifts[1], surfaces[1] = rotations[0], shifts[0], surfaces[0]
+            base_surface[:] = surface
+        if np.isfinite(value):
+            _keep(rotation, shift, surface, value, rotations, shifts, surfaces, likelihoods)
     return count
 
 
 @kernel
-def _same(r1: FloatArray, d1: FloatArray, r2: FloatArray, d2: FloatArray, likelihood: float) -> bool:
-    """Whether two minima are one: a thousandth of a radian and of the shift apart at most."""
-    if not likelihood > -np.inf:
-        return False
+def _mirror_axes(stack: Stack, axes: FloatArray) -> int:
+    """axes become the cameras' optical axes, those that differ and `MIRRORS` at most, and one of zero: the turn reversed."""
+    n, count = stack.focal.shape[0], 0
+    stride = max(1, n // MIRRORS)
+    for t in range(0, n, stride):
+        fresh = count < MIRRORS
+        for k in range(count):
+            dot = 0.0
+            for i in range(3):
+                dot += axes[k, i] * stack.qx[t, 2, i]
+            # Opposite cameras see the same mirror image.
+            fresh = fresh and abs(dot) < 0.97
+        if fresh:
+            axes[count] = stack.qx[t, 2]
+            count += 1
+    axes[count] = 0.0
+    return count + 1
+
+
+@kernel
+def _keep(
+    rotation: FloatArray,
+    shift: FloatArray,
+    surface: FloatArray,
+    value: float,
+    rotations: FloatArray,
+    shifts: FloatArray,
+    surfaces: FloatArray,
+    likelihoods: FloatArray,
+) -> None:
+    """Inserts a minimum into the list of the likeliest, unless it is there."""
+    last = likelihoods.shape[0] - 1
+    for k in range(last + 1):
+        if likelihoods[k] > -np.inf and _same(rotations[k], shifts[k], rotation, shift):
+            if value <= likelihoods[k]:
+                return
+            last = k
+            break
+    if value <= likelihoods[last]:
+        return
+    k = last
+    while k > 0 and value > likelihoods[k - 1]:
+        rotations[k], shifts[k], surfaces[k] = rotations[k - 1], shifts[k - 1], surfaces[k - 1]
+        likelihoods[k] = likelihoods[k - 1]
+        k -= 1
+    rotations[k], shifts[k], surfaces[k] = rotation, shift, surface
+    likelihoods[k] = value
+
+
+@kernel
+def _same(r1: FloatArray, d1: FloatArray, r2: FloatArray, d2: FloatArray) -> bool:
+    """Whether two minima are one: a few thousandths of a radian and of the shift apart at most."""
     gap = 0.0
     for i in range(3):
         for j in range(3):
             gap += (r1[i, j] - r2[i, j]) ** 2
     apart = (d1[0] - d2[0]) ** 2 + (d1[1] - d2[1]) ** 2 + (d1[2] - d2[2]) ** 2
     length = d1[0] ** 2 + d1[1] ** 2 + d1[2] ** 2
-    return gap < 2e-6 and apart < 1e-4 * length + 1e-300
+    return gap < 2e-5 and apart < 1e-3 * length + 1e-300

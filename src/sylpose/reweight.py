@@ -17,7 +17,7 @@ from sylpose.compiled import cholesky_solve, kernel, turn_by
 from sylpose.quadric import match_equations
 from sylpose.terms import SURFACE, Stack
 
-__all__ = ["CUTOFF", "reweight"]
+__all__ = ["CUTOFF", "SETTLED", "reweight"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -31,6 +31,8 @@ SHRINKAGE, EFFICIENCY = 0.8425, 1.109
 WIDER = (2.0, 1.5, 1.2)
 # Rounds at least, while the noise level still moves, and at most.
 MIN_ROUNDS, MAX_ROUNDS = 6, 40
+# From this round on, steps are cut shorter and shorter.
+LONG_ROUNDS = 12
 # Settled when a step promises to lower the cost by less than this: a hundredth of a standard deviation.
 SETTLED = 1e-4
 # A term's σ counts as that of so many matches more that have the rig's.
@@ -140,8 +142,10 @@ def reweight(
         last_promise, promise = promise, 0.0
         for i in range(6):
             promise += 0.5 * step[i] * right[i]
-        # Steps that grow overshoot: shorter ones settle.
+        # Steps that grow overshoot, and matches that come and go make them circle: shorter ones settle.
         length = max(0.5 * length, 0.1) if promise > last_promise and count > 4 else min(1.3 * length, 1.0)
+        if count > LONG_ROUNDS:
+            length = min(length, LONG_ROUNDS / count)
         angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         length_now = length * min(1.0, 0.3 / max(angle, 1e-300))
         for i in range(6):

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sylpose.compiled import kernel
 from sylpose.epipolar import moments_into
 from sylpose.minimize import search
-from sylpose.reweight import reweight
+from sylpose.reweight import SETTLED, reweight
 from sylpose.robust import hyperplane_inliers
 from sylpose.terms import SURFACE, Stack
 
@@ -21,8 +21,10 @@ BoolArray = NDArray[np.bool_]
 SEED_PX = 1.0
 # Noise of the seeds, pixels: bounds of what is read off their distances from the hyperplane.
 SEED_SIGMA_PX = (0.15, 1.5)
-# A second hypothesis is refined as well when its log-likelihood comes so near to the first one's.
-SECOND_CHANCE = 20.0
+# Minima that may be refined, and how near their log-likelihood must come to the best one's: the moments, with their
+# denominators at the mean rays, misjudge it by some tens where the turn is large.
+KEEP = 4
+SECOND_CHANCE = 60.0
 
 
 @kernel
@@ -62,15 +64,16 @@ def robust_fit(
         if not moments[t, 8, 8] > 0.0:
             moments[t, 8, 8] = 1e-9
         variance[t] = (sigma_px[t] / stack.focal[t]) ** 2
-    rotations, shifts, planes = np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros((2, n, 3))
-    likelihoods, first_sigma = np.empty(2), sigma_px.copy()
+    rotations, shifts, planes = np.zeros((KEEP, 3, 3)), np.zeros((KEEP, 3)), np.zeros((KEEP, n, 3))
+    likelihoods, first_sigma = np.empty(KEEP), sigma_px.copy()
     iterations = search(stack, moments, variance, guess_rotations, guess_shifts, rotations, shifts, planes, likelihoods)
     best, promise = np.inf, np.inf
     weights_, across_, sigma_ = np.zeros(n_matches), np.zeros(n_matches), np.empty(n)
     information_, without_, noise_ = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
     surface = np.empty((n, SURFACE))
-    for k in range(2):
-        if not likelihoods[k] > likelihoods[0] - SECOND_CHANCE:
+    for k in range(KEEP):
+        # Others are refined as well where they are nearly as likely, or where the first led nowhere.
+        if not likelihoods[k] > (likelihoods[0] - SECOND_CHANCE if promise < SETTLED else -np.inf):
             continue
         sigma_[:] = first_sigma
         surface[:] = stack.surface_mean

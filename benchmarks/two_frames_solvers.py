@@ -1,0 +1,262 @@
+"""The solvers of the two-frame benchmark, each in a process of its own that is killed where it hangs."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+from two_frames_scenes import Scene
+
+__all__ = ["LOADERS", "Answer", "Worker", "options_of"]
+
+Options = dict[str, Any]
+# What a solver's process does: take a scene into the solver's own form (not timed), and give what is then timed.
+Prepare = Callable[[Scene, Options], Callable[[], RigidTransform | None]]
+
+# Set before a child starts, so that the libraries in it see them.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+# A first call may compile.
+START_LIMIT_S = 300.0
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Of one call: the pose, or None and why ("no pose", "hang", "crash", an exception); seconds; its process's first?"""
+
+    pose: RigidTransform | None
+    seconds: float
+    why: str = ""
+
+
+class Worker:
+    """A child process that solves scenes one by one; a call beyond its time limit ends with the process killed, and the
+    next call starts a fresh one. Use as a context manager."""
+
+    def __init__(self, load: Callable[[], Prepare], limit_s: float, warm_up: Scene | None = None) -> None:
+        """
+        Args:
+            load: imports the solver, in the child; a function of a module.
+            limit_s: per call.
+            warm_up: solved first by each fresh process, not counted.
+        """
+        self._load, self._limit_s, self._warm_up = load, limit_s, warm_up
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._connection: Connection | None = None
+
+    def __enter__(self) -> Worker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def alive(self) -> bool:
+        """Whether there is a process now."""
+        return self._process is not None and self._process.is_alive()
+
+    def start(self) -> tuple[float, float]:
+        """Starts a fresh process: the seconds that importing the solver and its first call took.
+
+        Raises:
+            RuntimeError: the process ended, or did not answer.
+        """
+        self.close()
+        os.environ.update(ONE_THREAD)
+        context = multiprocessing.get_context("spawn")
+        self._connection, there = context.Pipe()
+        self._process = context.Process(target=_serve, args=(there, self._load), daemon=True)
+        self._process.start()
+        there.close()
+        loaded = self._receive(START_LIMIT_S)
+        if loaded.why:
+            raise RuntimeError(f"the solver of {self._load.__name__} does not start: {loaded.why}")
+        if self._warm_up is None:
+            return loaded.seconds, 0.0
+        self._connection.send((self._warm_up, {}))
+        return loaded.seconds, self._receive(START_LIMIT_S).seconds
+
+    def solve(self, scene: Scene, options: Options) -> Answer:
+        """One call."""
+        if not self.alive:
+            self.start()
+        assert self._connection is not None
+        self._connection.send((scene, options))
+        return self._receive(self._limit_s)
+
+    def close(self) -> None:
+        """Ends the process, whatever it does."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.join()
+        if self._connection is not None:
+            self._connection.close()
+        self._process = self._connection = None
+
+    def _receive(self, limit_s: float) -> Answer:
+        assert self._connection is not None
+        why = "hang"
+        try:
+            if self._connection.poll(limit_s):
+                answer: Answer = self._connection.recv()
+                return answer
+        except EOFError:
+            why = "crash"
+        self.close()
+        return Answer(None, limit_s, why)
+
+
+def _serve(connection: Connection, load: Callable[[], Prepare]) -> None:
+    """The child's loop."""
+    start = time.perf_counter()
+    try:
+        prepare = load()
+    except ImportError as error:
+        connection.send(Answer(None, 0.0, str(error)))
+        return
+    connection.send(Answer(None, time.perf_counter() - start))
+    while True:
+        try:
+            scene, options = connection.recv()
+        except EOFError:
+            return
+        start = time.perf_counter()
+        try:
+            call = prepare(scene, options)
+            start = time.perf_counter()
+            pose = call()
+            answer = Answer(pose, time.perf_counter() - start, "" if pose is not None else "no pose")
+        except Exception as error:  # a solver that raises has failed on this scene, and the table says how
+            answer = Answer(None, time.perf_counter() - start, f"{type(error).__name__}: {error}")
+        connection.send(answer)
+
+
+def load_sylpose() -> Prepare:
+    """Ours, with its defaults."""
+    import cv2
+
+    from sylpose.features import Matches
+    from sylpose.motion import estimate_motion
+    from sylpose.pose import estimate_pose
+
+    cv2.setNumThreads(1)
+
+    def prepare(scene: Scene, _: Options) -> Callable[[], RigidTransform | None]:
+        rig = scene.rig
+        if scene.problem == "pose":
+            return lambda: estimate_pose(rig, scene.before, scene.after).motion
+        matches = [Matches.from_pixels(*views) for views in zip(rig, scene.before, scene.after, strict=True)]
+        return lambda: estimate_motion(rig, matches).motion
+
+    return prepare
+
+
+def load_poselib() -> Prepare:
+    """PoseLib; options "ransac" and "bundle" as its functions take them."""
+    import poselib
+
+    def prepare(scene: Scene, options: Options) -> Callable[[], RigidTransform | None]:
+        cameras, poses = [], []
+        for camera in scene.rig:
+            (fx, _, cx), (_, fy, cy) = camera.matrix[:2].tolist()
+            cameras.append(poselib.Camera("PINHOLE", [fx, fy, cx, cy], *camera.size))
+            pose = poselib.CameraPose()
+            pose.R, pose.t = camera.rotation, camera.camera_from_world.translation
+            poses.append(pose)
+        ransac, bundle = options.get("ransac", {}), options.get("bundle", {})
+        if scene.problem == "pose":
+
+            def call() -> RigidTransform | None:
+                return _rigid(
+                    poselib.estimate_generalized_absolute_pose(
+                        scene.after, scene.before, poses, cameras, ransac, bundle
+                    )
+                )
+
+            return call
+        matches = []
+        for c, (x, y) in enumerate(zip(scene.before, scene.after, strict=True)):
+            pairs = poselib.PairwiseMatches()
+            pairs.cam_id1 = pairs.cam_id2 = c
+            pairs.x1, pairs.x2 = x, y
+            matches.append(pairs)
+        return lambda: _rigid(
+            poselib.estimate_generalized_relative_pose(matches, poses, cameras, poses, cameras, ransac, bundle)
+        )
+
+    def _rigid(found: tuple[Any, Options]) -> RigidTransform | None:
+        pose, info = found
+        if not info["num_inliers"] or not np.isfinite([*pose.q, *pose.t]).all():
+            return None
+        return RigidTransform.from_components(pose.t, Rotation.from_matrix(pose.R))
+
+    return prepare
+
+
+def load_pycolmap() -> Prepare:
+    """COLMAP's solvers; the absolute pose with its refinement. Option "max_error", pixels."""
+    import pycolmap
+
+    def prepare(scene: Scene, options: Options) -> Callable[[], RigidTransform | None]:
+        cameras, poses = [], []
+        for camera in scene.rig:
+            (fx, _, cx), (_, fy, cy) = camera.matrix[:2].tolist()
+            # COLMAP's pixel centres are at half integers, ours at integers: the same shift in points and principal point
+            # changes nothing.
+            cameras.append(
+                pycolmap.Camera(model="PINHOLE", width=camera.size[0], height=camera.size[1], params=[fx, fy, cx, cy])
+            )
+            poses.append(pycolmap.Rigid3d(camera.camera_from_world.as_matrix()[:3]))
+        ransac = pycolmap.RANSACOptions()
+        ransac.random_seed, ransac.num_threads = 0, 1
+        ransac.max_error = options.get("max_error", ransac.max_error)
+        index = np.repeat(np.arange(len(scene.rig)), [len(y) for y in scene.after]).tolist()
+        before, after = np.concatenate(scene.before), np.concatenate(scene.after)
+
+        def call() -> RigidTransform | None:
+            if scene.problem == "pose":
+                found = pycolmap.estimate_and_refine_generalized_absolute_pose(
+                    after, before, index, poses, cameras, ransac
+                )
+                return None if found is None else _rigid(found["rig_from_world"])
+            found = pycolmap.estimate_generalized_relative_pose(before, after, index, index, poses, cameras, ransac)
+            return None if found is None else _rigid(found["rig2_from_rig1"])
+
+        return call
+
+    def _rigid(pose: Any) -> RigidTransform:
+        return RigidTransform.from_components(pose.translation, Rotation.from_matrix(pose.rotation.matrix()))
+
+    return prepare
+
+
+LOADERS: dict[str, Callable[[], Prepare]] = {
+    "sylpose": load_sylpose,
+    "poselib": load_poselib,
+    "pycolmap": load_pycolmap,
+}
+
+
+def options_of(solver: str, problem: str, noise: float) -> dict[str, Options]:
+    """The sets of options that a solver is tried with: its defaults, and ones made for the scenes' true noise."""
+    if solver == "pycolmap":
+        return {"default": {}, "4 sigma": {"max_error": 4 * noise}}
+    if solver != "poselib":
+        return {"": {}}
+    error = "max_reproj_error" if problem == "pose" else "max_epipolar_error"
+
+    def of(sigmas: float, **bundle: object) -> Options:
+        return {"ransac": {error: sigmas * noise}, "bundle": bundle}
+
+    return {
+        "default": {},
+        "2 sigma": of(2, loss_scale=2 * noise),
+        "4 sigma": of(4, loss_scale=2 * noise),
+        "4 sigma, least squares": of(4, loss_type="TRIVIAL"),
+    }
