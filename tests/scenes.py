@@ -65,23 +65,26 @@ class Minimum(NamedTuple):
     iterations: int
 
 
-def search_all(stack: Stack, sigma_px: float) -> list[Minimum]:
-    """The two likeliest minima of all matches, without guesses."""
+def search_all(
+    stack: Stack, sigma_px: float, guesses: Sequence[tuple[FloatArray, FloatArray]] = (), keep: int = 4
+) -> list[Minimum]:
+    """The likeliest minima of all matches, best first: at most as many as are kept."""
     n = len(stack.focal)
-    rotations, shifts, surfaces = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty((2, n, 3))
-    likelihoods = np.empty(2)
+    rotations, shifts, surfaces = np.empty((keep, 3, 3)), np.empty((keep, 3)), np.empty((keep, n, 3))
+    likelihoods = np.empty(keep)
     count = search(
         stack,
         moments_of(stack),
         variance_of(stack, sigma_px),
-        np.empty((0, 3, 3)),
-        np.empty((0, 3)),
+        np.array([r for r, _ in guesses]).reshape(-1, 3, 3),
+        np.array([d for _, d in guesses]).reshape(-1, 3),
         rotations,
         shifts,
         surfaces,
         likelihoods,
     )
-    return [Minimum(rotations[k], shifts[k], surfaces[k], float(likelihoods[k]), count) for k in range(2)]
+    found = [Minimum(rotations[k], shifts[k], surfaces[k], float(likelihoods[k]), count) for k in range(keep)]
+    return [minimum for minimum in found if minimum.likelihood > -np.inf]
 
 
 def epipolar_px(term: TermData, center: FloatArray, rotation: FloatArray, shift: FloatArray) -> FloatArray:

@@ -36,6 +36,7 @@ class Robust(NamedTuple):
     sigma_px: FloatArray
     information: FloatArray
     without_depth: FloatArray
+    noise: FloatArray
     iterations: int
     promise: float
 
@@ -48,8 +49,7 @@ def fitted(stack: Stack, usable: BoolArray | None = None, seed: int = 0) -> Robu
         np.zeros(n_matches),
         np.zeros(n_matches),
         np.ones(n),
-        np.zeros((6, 6)),
-        np.zeros((6, 6)),
+        *np.zeros((3, 6, 6)),
     )
     iterations, promise = robust_fit(
         stack,
