@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from sylpose.capture import Box, FrameSet, Session, open_session
     from sylpose.features import Matches
     from sylpose.moments import PairMoments
-    from sylpose.motion import estimate_motion
+    from sylpose.motion import estimate_motion, estimate_motions
+    from sylpose.pose import estimate_pose
     from sylpose.results import FramePose, Motion, Status, Trajectory
     from sylpose.rig import Camera, Rig
     from sylpose.tracking import TrackedFrame, track
@@ -39,6 +40,8 @@ __all__ = [
     "TrackedFrame",
     "Trajectory",
     "estimate_motion",
+    "estimate_motions",
+    "estimate_pose",
     "open_session",
     "track",
     "track_session",
@@ -49,7 +52,8 @@ _HOMES = {
     "sylpose.capture": ("Box", "FrameSet", "Session", "open_session"),
     "sylpose.features": ("Matches",),
     "sylpose.moments": ("PairMoments",),
-    "sylpose.motion": ("estimate_motion",),
+    "sylpose.motion": ("estimate_motion", "estimate_motions"),
+    "sylpose.pose": ("estimate_pose",),
     "sylpose.results": ("FramePose", "Motion", "Status", "Trajectory"),
     "sylpose.rig": ("Camera", "Rig"),
     "sylpose.tracking": ("TrackedFrame", "track"),

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sylpose.compiled import kernel
 from sylpose.features import STILL_PX
 from sylpose.quadric import match_equations
 from sylpose.results import Status
@@ -84,8 +85,9 @@ def fit_terms(
     if sum(len(term) for term in data) < MIN_MATCHES:
         return no_fit(data, Status.TOO_FEW_MATCHES)
     stack = stack_terms(data, center, radius)
-    usable = _not_background(stack)
     n, n_matches = len(stack.focal), len(stack.x)
+    usable = np.ones(n_matches, dtype=bool)
+    _not_background(stack, usable)
     rotation, shift = np.eye(3), np.zeros(3)
     weights, across = np.zeros(n_matches), np.zeros(n_matches)
     sigma_px = np.ones(n)
@@ -116,7 +118,10 @@ def fit_terms(
         return no_fit(data, status)
     if _stands_still(stack, weights, across, sigma_px):
         status, rotation, shift = Status.NO_MOTION, np.eye(3), np.zeros(3)
-    information, without_depth = _without_noise(information, noise), _without_noise(without_depth, noise)
+    # σ is estimated: the covariance is that of Student's distribution.
+    freedom = int((weights > 0).sum()) - 6
+    known = max(freedom - 2, 1) / freedom
+    information, without_depth = (known * _without_noise(part, noise) for part in (information, without_depth))
     return Fit(
         status,
         rotation,
@@ -156,16 +161,21 @@ def _without_noise(information: FloatArray, noise: FloatArray) -> FloatArray:
     return np.asarray(half @ half.T)
 
 
-def _not_background(stack: Stack) -> BoolArray:
-    """(N,) matches that may lie on the object: in a camera that sees it move by far, what stands still does not."""
-    shift = np.linalg.norm(stack.y - stack.x, axis=1) * np.repeat(stack.focal, np.diff(stack.offsets))
-    usable = np.ones(len(shift), dtype=bool)
-    moving = shift > STILL_PX
-    for first, last in zip(stack.offsets, stack.offsets[1:], strict=False):
-        mine = moving[first:last]
-        if mine.any() and np.median(shift[first:last][mine]) > FAR_PX:
-            usable[first:last] = mine
-    return usable
+@kernel
+def _not_background(stack: Stack, usable: BoolArray) -> None:
+    """usable (N,): matches that may lie on the object. In a camera that sees it move by far, what stands still does not."""
+    for t in range(stack.focal.shape[0]):
+        first, last = stack.offsets[t], stack.offsets[t + 1]
+        moving, count = np.empty(last - first), 0
+        for i in range(first, last):
+            dx, dy = stack.y[i, 0] - stack.x[i, 0], stack.y[i, 1] - stack.x[i, 1]
+            far = np.sqrt(dx * dx + dy * dy) * stack.focal[t]
+            usable[i] = far > STILL_PX
+            if usable[i]:
+                moving[count] = far
+                count += 1
+        if count == 0 or np.median(moving[:count]) <= FAR_PX:
+            usable[first:last] = True
 
 
 def _is_consistent(

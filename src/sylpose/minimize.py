@@ -20,6 +20,9 @@ FloatArray = NDArray[np.float64]
 
 # A term whose mean square exceeds the usual one by this factor, or this value, is trusted less while searching.
 TRUST = 4.0
+# Iterations after which a start is looked at, and how far its log-likelihood may then be behind the best.
+CHECKED = 3
+HOPELESS = 300.0
 # Mirror images that are tried, at most, beside the turn reversed.
 MIRRORS = 4
 
@@ -253,13 +256,20 @@ def search(
                 for t in range(n):
                     surface[t, 1], surface[t, 2] = -base_surface[t, 1], -base_surface[t, 2]
             else:
-                done, _ = minimize(stack, moments, variance, True, True, 4, 1.0, rotation, shift, surface)
+                done, _ = minimize(stack, moments, variance, True, True, 3, 1.0, rotation, shift, surface)
                 count += done
         else:
             rotation[:], shift[:] = guess_rotations[guess], guess_shifts[guess]
-        done, _ = minimize(stack, moments, variance, True, False, 25, 1e-2, rotation, shift, surface)
+        done, promise = minimize(stack, moments, variance, True, False, CHECKED, 1e-2, rotation, shift, surface)
         count += done
         value = log_likelihood(stack, moments, variance, rotation, shift, surface)
+        # On the way to a minimum that is known, or to nowhere: not worth the rest of the way.
+        if start > 0 and (value < likelihoods[0] - HOPELESS or _known(rotation, shift, rotations, shifts, likelihoods)):
+            continue
+        if promise >= 1e-2:
+            done, _ = minimize(stack, moments, variance, True, False, 20, 1e-2, rotation, shift, surface)
+            count += done
+            value = log_likelihood(stack, moments, variance, rotation, shift, surface)
         if start == 0:
             rotvec_of(rotation, turn)
             base_shift[:] = shift
@@ -317,6 +327,17 @@ def _keep(
         k -= 1
     rotations[k], shifts[k], surfaces[k] = rotation, shift, surface
     likelihoods[k] = value
+
+
+@kernel
+def _known(
+    rotation: FloatArray, shift: FloatArray, rotations: FloatArray, shifts: FloatArray, likelihoods: FloatArray
+) -> bool:
+    """Whether a minimum is in the list."""
+    for k in range(likelihoods.shape[0]):
+        if likelihoods[k] > -np.inf and _same(rotations[k], shifts[k], rotation, shift):
+            return True
+    return False
 
 
 @kernel

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,16 @@ from sylpose.rig import Rig
 from sylpose.sylvester import solve_centralized, translation_from_means
 from sylpose.terms import TermData, object_place
 
-__all__ = ["METHODS", "covariance_of", "estimate_motion", "motion_about", "observed", "sylvester_fit"]
+__all__ = [
+    "METHODS",
+    "covariance_of",
+    "estimate_motion",
+    "estimate_motions",
+    "motion_about",
+    "observed",
+    "sylvester_fit",
+    "unseen",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -87,6 +97,35 @@ def estimate_motion(
     return _motion(rig, matches, data, fit, g, method, size)
 
 
+def estimate_motions(
+    rig: Rig, pairs: Iterable[Sequence[Matches]], *, method: str = "epipolar", seed: int = 0, threads: int = 1
+) -> list[Motion]:
+    """The motions of many frame pairs of one rig.
+
+    Args:
+        rig: C cameras.
+        pairs: for each frame pair its C sets of matches, as `estimate_motion` takes them.
+        method, seed: as in `estimate_motion`; every pair has the same seed.
+        threads: the compiled part of the work, two thirds of it, runs beside that of other pairs.
+
+    Returns:
+        what `estimate_motion` returns for each, to the last bit, in order.
+
+    Raises:
+        ValueError: as `estimate_motion`; fewer than one thread.
+    """
+    if threads < 1:
+        raise ValueError(f"threads: {threads} is not a positive number")
+
+    def one(matches: Sequence[Matches]) -> Motion:
+        return estimate_motion(rig, matches, method=method, seed=seed)
+
+    if threads == 1:
+        return [one(matches) for matches in pairs]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(one, pairs))
+
+
 def sylvester_fit(data: Sequence[TermData], robust: Fit, center: FloatArray) -> Fit:
     """The paper's estimate in place of a robust fit's motion: it has no outlier rejection of its own.
 
@@ -121,13 +160,18 @@ def sylvester_fit(data: Sequence[TermData], robust: Fit, center: FloatArray) -> 
 
 def observed(fit: Fit, radius: float) -> Fit:
     """The fit with its status set to what its information shows: all of it seen, or the scale, or a turn not."""
+    return _judged(fit, radius)[0]
+
+
+def _judged(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
+    """`observed`, and the directions (k, 6) that its status is about."""
     if fit.status is not Status.OK:
-        return fit
-    open_ = unseen(fit, radius) * np.array([radius] * 3 + [1.0] * 3)
-    if len(open_) == 0:
-        return fit
-    turn = np.linalg.norm(open_[:, :3], 2) ** 2 > 0.5
-    return replace(fit, status=Status.TURN_NOT_OBSERVABLE if turn else Status.SCALE_NOT_OBSERVABLE)
+        return fit, np.empty((0, 6))
+    directions = unseen(fit, radius)
+    if len(directions) == 0:
+        return fit, directions
+    turn = np.linalg.norm(radius * directions[:, :3], 2) ** 2 > 0.5
+    return replace(fit, status=Status.TURN_NOT_OBSERVABLE if turn else Status.SCALE_NOT_OBSERVABLE), directions
 
 
 def unseen(fit: Fit, radius: float) -> FloatArray:
@@ -153,8 +197,8 @@ def unseen(fit: Fit, radius: float) -> FloatArray:
 
 def motion_about(center: FloatArray, fit: Fit) -> RigidTransform:
     """X -> R (X - g) + g + d as a transform."""
-    rotation = Rotation.from_matrix(fit.rotation)
-    return RigidTransform.from_components(center + fit.shift - rotation.apply(center), rotation)
+    rotation = Rotation.from_matrix(fit.rotation, assume_valid=True)
+    return RigidTransform.from_components(center + fit.shift - fit.rotation @ center, rotation)
 
 
 def covariance_of(information: FloatArray) -> FloatArray:
@@ -190,10 +234,8 @@ def _motion(
         inliers[term.camera] = w > 0
         if (w > 0).any():
             residuals[term.camera] = np.sqrt(np.mean(r[w > 0] ** 2))
-    fit, open_ = observed(fit, radius), np.empty((0, 6))
-    information = fit.information
-    if fit.status in (Status.SCALE_NOT_OBSERVABLE, Status.TURN_NOT_OBSERVABLE):
-        open_, information = unseen(fit, radius), fit.information_without_depth
+    fit, open_ = _judged(fit, radius)
+    information = fit.information_without_depth if len(open_) else fit.information
     if fit.status is Status.SCALE_NOT_OBSERVABLE:
         for row in open_:
             # What is in a length that is not observable is not known at all, whatever the linearised model says.

@@ -30,11 +30,11 @@ SHRINKAGE, EFFICIENCY = 0.8425, 1.109
 # Cutoffs of the first rounds are wider by these factors: the first motion comes from contaminated matches.
 WIDER = (2.0, 1.5, 1.2)
 # Rounds at least, while the noise level still moves, and at most.
-MIN_ROUNDS, MAX_ROUNDS = 6, 40
+MIN_ROUNDS, MAX_ROUNDS = 5, 40
 # From this round on, steps are cut shorter and shorter.
 LONG_ROUNDS = 12
-# Settled when a step promises to lower the cost by less than this: a hundredth of a standard deviation.
-SETTLED = 1e-4
+# Settled when a step promises to lower the cost by less than this: a thirtieth of a standard deviation.
+SETTLED = 5e-4
 # A term's σ counts as that of so many matches more that have the rig's.
 RIG_MATCHES = 10.0
 # Noise is never believed to be less, pixels, nor more than so many times the seeds': else two motions, or none, would be
