@@ -22,7 +22,9 @@ $(VENV)/.installed-bench: $(VENV)/.installed
 demo: $(VENV)/.installed
 	$(BIN)/sylpose demo --out demo
 
+# Compiled kernels do not notice that a kernel which they call in another file has changed.
 test: lint
+	-find src/sylpose/__pycache__ -name '*.nb[ic]' ! -newer "$$(ls -t src/sylpose/*.py | head -1)" -delete
 	$(BIN)/python -m pytest
 
 lint: $(VENV)/.installed-dev

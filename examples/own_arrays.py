@@ -2,8 +2,8 @@
 
     python examples/own_arrays.py [RECORDING]
 
-First a motion from matches that come from somewhere else, here a simulation. With a RECORDING (`sylpose demo` makes
-one), then its first and sixth frame by hand: detect, match, summarise, solve.
+First a motion from matches that come from somewhere else, here a simulation, and the pose of an object of known points.
+With a RECORDING (`sylpose demo` makes one), then its first and sixth frame by hand: detect, match, summarise, solve.
 """
 
 import sys
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose import Camera, Matches, Motion, PairMoments, Rig, estimate_motion, open_session
+from sylpose import Camera, Matches, Motion, PairMoments, Rig, estimate_motion, estimate_pose, open_session
 from sylpose.features import detect, match_features
 from sylpose.simulate import ellipsoid, random_motion, simulate_matches
 
@@ -54,6 +54,16 @@ pixels = your_matches(rig, true_motion)
 matches = [Matches.from_pixels(c, i, j) for c, (i, j) in zip(rig, pixels, strict=True)]
 print("True turn (degrees)", np.degrees(true_motion.rotation.as_rotvec()).round(2))
 say(estimate_motion(rig, matches))
+
+# solvePnP for many cameras: five known points in each, all different ones.
+corners = np.random.default_rng(3).uniform(-0.1, 0.1, (10, 3))
+points = [corners[:5], corners[5:]]
+world_from_object = true_motion
+seen = [camera.project(world_from_object.apply(p)) for camera, p in zip(rig, points, strict=True)]
+found = estimate_pose(rig, points, seen)
+print("Known points:", found.status.text, " inliers", found.n_inliers)
+if found.motion is not None:
+    print("  off by", np.degrees((found.motion.rotation * world_from_object.rotation.inv()).magnitude()), "degrees")
 
 if len(sys.argv) > 1:
     session = open_session(sys.argv[1])

@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scenes import BODY, around, data_of, epipolar_px, truth, turn_between
-from scipy.spatial.transform import Rotation
 
-from sylpose.quadric import match_equations
-from sylpose.reweight import CUTOFF
 from sylpose.robust_fit import robust_fit
 from sylpose.rig import Rig
 from sylpose.simulate import SimulatedPair, arc, random_motion, simulate_matches
-from sylpose.terms import SURFACE, Stack, object_place, stack_terms
+from sylpose.terms import Stack, object_place, stack_terms
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -184,147 +176,3 @@ def test_junk_alone_does_not_pass_for_noise() -> None:
         _, stack, _ = scene(seed, rig, junk=rig.names)
         passed += bool(np.mean(fitted(stack).weights > 0) > 0.5)
     assert passed <= 1
-
-
-# --- one match: a naive twin ------------------------------------------------------------------------------------------
-
-
-def image(
-    stack: Stack, t: int, x: FloatArray, rotation: FloatArray, shift: FloatArray, alpha: FloatArray, nearer: float = 0.0
-) -> FloatArray:
-    """(2,) where the surface α puts the point x (2,) in the current frame; `nearer`: inverse depth added, of g's."""
-    p, q = (x - stack.anchor[t]) / stack.spread[t]
-    rho = stack.inverse_depth[t] * (alpha @ np.array([1, p, q, p * p, p * q, q * q]) + nearer)
-    ray = stack.qx[t].T @ np.append(x, 1.0)
-    seen = stack.qy[t] @ (rotation @ (ray + rho * stack.a1[t]) + rho * (shift - stack.a2[t]))
-    return np.asarray(seen[:2] / seen[2])
-
-
-def matched(
-    stack: Stack,
-    t: int,
-    rotation: FloatArray,
-    shift: FloatArray,
-    alpha: FloatArray,
-    variance: float,
-    reliefs: tuple[float, float],
-    cutoff: float,
-    usable: BoolArray | None = None,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`match_equations`: distance, across, along, parallax and weights (5, n) of term t; J'WJ (12, 12), lower; J'We."""
-    n = len(stack.x)
-    distance, across, along, parallax, weights = filled = np.full((5, n), np.nan)
-    equations = np.empty((6 + SURFACE, 8 + SURFACE))
-    match_equations(
-        stack,
-        t,
-        np.ones(n, bool) if usable is None else usable,
-        rotation,
-        shift,
-        alpha,
-        variance,
-        *reliefs,
-        cutoff,
-        distance,
-        across,
-        along,
-        parallax,
-        weights,
-        equations,
-    )
-    mine = slice(stack.offsets[t], stack.offsets[t + 1])
-    return filled[:, mine], equations[:, : 6 + SURFACE], equations[:, 6 + SURFACE]
-
-
-def derivative(function: Callable[[FloatArray], FloatArray], size: int, step: float = 1e-6) -> FloatArray:
-    """(m, size) central differences at zero."""
-    return np.column_stack([(function(s) - function(-s)) / (2 * step) for s in step * np.eye(size)])
-
-
-@settings(max_examples=10)
-@given(st.integers(0, 2**32 - 1))
-def test_equations_of_matches_equal_a_loop_over_them(seed: int) -> None:
-    rng, rig = np.random.default_rng(seed), around(2)
-    pair, stack, center = scene(seed, rig, 8.0, per_camera=12)
-    if seed % 2:
-        known = random_motion(8.0, 0.05, rng)
-        data = [replace(term, base_from_reference=known) for term in data_of(rig, pair.matches)]
-        center = np.asarray(known.apply(center))
-        stack = stack_terms(data, center, 0.15)
-    t, n = 1, len(stack.x)
-    rotation, shift = random_motion(6.0, 0.0, rng).rotation.as_matrix(), 0.02 * rng.standard_normal(3)
-    spread = 1.0 / np.sqrt(np.diag(stack.surface_information[t]))
-    alpha = stack.surface_mean[t] + 0.5 * spread * rng.uniform(-1, 1, SURFACE)
-    variance, relief, shared = float((3.0 / stack.focal[t]) ** 2), 0.7 * stack.relief[t], 1.3 * stack.relief[t]
-    cutoff, usable = 20.0, rng.random(n) > 0.2
-    (distance, across, along, parallax, weights), matrix, right = matched(
-        stack, t, rotation, shift, alpha, variance, (relief, shared), cutoff, usable
-    )
-    expected, expected_right = np.zeros((12, 12)), np.zeros(12)
-    for k, i in enumerate(range(stack.offsets[t], stack.offsets[t + 1])):
-        x = stack.x[i]
-        e = stack.y[i] - image(stack, t, x, rotation, shift, alpha)
-        by_x = derivative(partial(lambda x, s: image(stack, t, x + s, rotation, shift, alpha), x), 2)
-        by_depth = derivative(partial(lambda x, s: image(stack, t, x, rotation, shift, alpha, s[0]), x), 1)[:, 0]
-        b = by_depth / np.linalg.norm(by_depth)
-        normal = np.array([-b[1], b[0]])
-        both = np.eye(2) + by_x @ by_x.T
-        noise_n, noise_b = normal @ both @ normal, b @ both @ b
-        spare = (relief * np.linalg.norm(by_depth)) ** 2
-        d2 = (normal @ e) ** 2 / (variance * noise_n) + (b @ e) ** 2 / (variance * noise_b + spare)
-        w = max(1 - d2 / cutoff**2, 0.0) ** 2 if usable[i] else 0.0
-        assert across[k] == pytest.approx(normal @ e / np.sqrt(noise_n), rel=1e-5, abs=1e-9)
-        assert along[k] == pytest.approx(b @ e / np.sqrt(noise_b), rel=1e-5, abs=1e-9)
-        assert parallax[k] == pytest.approx(np.linalg.norm(by_depth) / np.sqrt(noise_b), rel=1e-5)
-        assert distance[k] == pytest.approx(d2, rel=1e-4)
-        assert weights[k] == pytest.approx(w, rel=1e-4, abs=1e-9)
-
-        def by_all(nearer: float, x: FloatArray = x) -> FloatArray:
-            """(2, 12) by (w, d), in the camera's axes, and α."""
-
-            def moved(s: FloatArray) -> FloatArray:
-                to_world = stack.qy[t].T
-                turned = Rotation.from_rotvec(to_world @ s[:3]).as_matrix() @ rotation
-                return image(stack, t, x, turned, shift + to_world @ s[3:6], alpha + s[6:], nearer)
-
-            return derivative(moved, 12)
-
-        row = b @ by_all(0.0)
-        w_along = w / (variance * noise_b + (shared * np.linalg.norm(by_depth)) ** 2)
-        expected += w_along * np.outer(row, row)
-        expected_right += w_along * row * (b @ e)
-        # Across the line the match's own depth, as far as it can be told from noise.
-        p, q = (x - stack.anchor[t]) / stack.spread[t]
-        rho = alpha @ np.array([1, p, q, p * p, p * q, q * q])
-        further = spare / (variance * noise_b + spare) * (b @ e) / np.linalg.norm(by_depth)
-        row = normal @ by_all(float(np.clip(further, -0.5 * rho, 2.0 * rho)))[:, :6]
-        expected[:6, :6] += w / (variance * noise_n) * np.outer(row, row)
-        expected_right[:6] += w / (variance * noise_n) * row * (normal @ e)
-    below = np.tril(np.ones((12, 12), bool))
-    units = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(
-        (matrix / units / units[:, None])[below], (expected / units / units[:, None])[below], atol=1e-4
-    )
-    size = np.abs(expected_right / units).max()
-    np.testing.assert_allclose(right / units / size, expected_right / units / size, atol=1e-4)
-
-
-def test_a_point_behind_the_camera_is_infinitely_far() -> None:
-    _, stack, _ = scene(0, around(2))
-    through = -3.0 * stack.qy[0, 2]
-    filled, matrix, right = matched(stack, 0, np.eye(3), through, stack.surface_mean[0], 1e-6, (0.1, 0.1), CUTOFF)
-    assert np.isinf(filled[0]).all()
-    assert not filled[4].any()
-    assert not matrix.any()
-    assert not right.any()
-
-
-def test_no_motion_is_nothing_special() -> None:
-    """At the identity there is no parallax: all numbers are finite, and distances are those between the frames."""
-    _, stack, _ = scene(0, around(2), 0.1)
-    variance, mine = float((0.5 / stack.focal[0]) ** 2), slice(stack.offsets[0], stack.offsets[1])
-    filled, matrix, right = matched(stack, 0, np.eye(3), np.zeros(3), stack.surface_mean[0], variance, (0.1, 0.1), 1e6)
-    squares = np.sum((stack.y[mine] - stack.x[mine]) ** 2, axis=1)
-    np.testing.assert_allclose(filled[0], squares / (2 * variance), rtol=1e-6)
-    assert np.isfinite(matrix[np.tril_indices(12)]).all()
-    assert np.isfinite(right).all()
