@@ -274,7 +274,7 @@ def full(matrix: FloatArray) -> FloatArray:
 @pytest.mark.parametrize("body", [rod(), BODY], ids=["rod", "ellipsoid"])
 def test_noise_is_counted_as_what_it_puts_into_the_equations(body: Body, turn: float, share: float) -> None:
     """The mean of J'WJ over noisy matches exceeds that of the matches without noise by so much, at the same surface."""
-    rng, rig, t, draws = np.random.default_rng(0), around(2), 0, 100
+    rng, rig, t, draws = np.random.default_rng(0), around(2), 0, 400
     pair = simulate_matches(rig, body, random_motion(turn, 0.005, rng), rng=rng, noise_px=0.0)
     stack, (rotation, shift) = stack_terms(data_of(rig, pair.matches), pair.center, 0.15), truth(pair, pair.center)
     mine = slice(stack.offsets[t], stack.offsets[t + 1])
@@ -295,16 +295,18 @@ def test_noise_is_counted_as_what_it_puts_into_the_equations(body: Body, turn: f
     more = np.mean([full(equations(s * n).matrix) - there for n in noise for s in (1, -1)], axis=0)
     values, vectors = np.linalg.eigh(expected)
     main = vectors[:, -1]
-    assert main @ more @ main == pytest.approx(values[-1], rel=0.1)
+    # To a tenth, and to a small part of what is there anyway: so far the draws scatter.
+    there_main = float(main @ there @ main)
+    assert main @ more @ main == pytest.approx(values[-1], abs=0.1 * values[-1] + 1e-3 * there_main)
     np.testing.assert_allclose(np.linalg.eigvalsh(full(equations(noise[0]).noise))[-1], values[-1], rtol=0.02)
-    # Elsewhere, to a small part of what noise does or of what is there anyway.
     size = np.sqrt(np.diag(there))
-    assert (np.abs(more - expected) < 0.1 * values[-1] + 1e-3 * np.outer(size, size)).all()
+    assert (np.abs(more - expected) < 0.1 * values[-1] + 5e-3 * np.outer(size, size)).all()
     if body is not BODY:
-        # About itself a rod shows no turn, but noise does.
-        axis = np.append(rotation @ np.array([0.48, 0.6, 0.64]), np.zeros(3))
-        assert axis @ there @ axis < 1e-6 * values[-1]
-        assert axis @ more @ axis == pytest.approx(axis @ expected @ axis, rel=0.15)
+        # About itself a rod shows no turn, but noise does: to a tenth what comes of depths; of places, not too little.
+        axis = np.append(stack.qy[t] @ rotation @ np.array([0.48, 0.6, 0.64]), np.zeros(3))
+        assert abs(axis @ there @ axis) < 1e-6 * values[-1]
+        of_noise = float(axis @ expected @ axis)
+        assert 0.85 * (axis @ more @ axis) < of_noise < 1.15 * (axis @ more @ axis) + 3000
 
 
 def test_noise_is_counted_only_where_it_is_wanted() -> None:

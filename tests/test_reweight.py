@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scenes import BODY, around, data_of, epipolar_px, truth, turn_between
 
-from sylpose.robust_fit import robust_fit
+from sylpose.reweight import SIGMA_GROWTH
 from sylpose.rig import Rig
+from sylpose.robust_fit import SEED_SIGMA_PX, robust_fit
 from sylpose.simulate import SimulatedPair, arc, random_motion, simulate_matches
 from sylpose.terms import Stack, object_place, stack_terms
 
@@ -83,7 +84,8 @@ def test_inliers_are_the_inliers(kind: str, share: float) -> None:
             kept += list(w[~wrong] > 0)
             caught += list(w[wrong & far] == 0)
     assert np.mean(kept) > 0.98
-    assert np.mean(caught) > 0.98
+    # A second motion that is nearly a majority in some camera raises that camera's noise.
+    assert np.mean(caught) > (0.96 if kind == "second_motion" else 0.98)
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.3])
@@ -107,7 +109,8 @@ def test_a_camera_noisier_than_the_others_is_believed_less() -> None:
         matches = [*pairs[0].matches[:3], pairs[1].matches[3]]
         data = data_of(rig, matches)
         sigma = fitted(stack_terms(data, *object_place(data))).sigma_px
-        assert sigma[3] > 2.5 * sigma[:3].max()
+        # By less than it is: each is drawn towards the rig's, and none exceeds `SIGMA_GROWTH` times the seeds'.
+        assert sigma[3] > 2.0 * sigma[:3].max()
 
 
 def test_residuals_are_measured_in_pixels() -> None:
@@ -176,3 +179,22 @@ def test_junk_alone_does_not_pass_for_noise() -> None:
         _, stack, _ = scene(seed, rig, junk=rig.names)
         passed += bool(np.mean(fitted(stack).weights > 0) > 0.5)
     assert passed <= 1
+
+
+def test_junk_alone_never_has_more_noise_than_the_ceiling() -> None:
+    for seed in range(10):
+        _, stack, _ = scene(seed, around(4), junk=around(4).names)
+        assert (fitted(stack).sigma_px <= SIGMA_GROWTH * SEED_SIGMA_PX[1] + 1e-12).all()
+
+
+def test_without_what_is_believed_of_the_surfaces_less_is_known() -> None:
+    """And in one camera nothing of how far it moved."""
+    for seed in range(5):
+        for n in (1, 4):
+            _, stack, _ = scene(seed, around(n), 10.0)
+            found = fitted(stack)
+            units = 1.0 / np.sqrt(np.diag(found.information))
+            known, alone = (m * np.outer(units, units) for m in (found.information, found.without_depth))
+            assert np.linalg.eigvalsh(known - alone).min() > -1e-6
+            if n == 1:
+                assert np.linalg.eigvalsh(alone)[0] < 1e-3 * np.linalg.eigvalsh(known)[0]

@@ -186,6 +186,7 @@ def _track(
     """`track_session` with everything that is said about it."""
     from sylpose.app import text
     from sylpose.app.run import notes, track_session
+    from sylpose.fit import warm_up
 
     console = text.make_console()
     console.print(text.headline(session))
@@ -194,6 +195,8 @@ def _track(
         text.print_warnings(console, found)
     frames = len(range(start, session.n_frames if stop is None else min(stop, session.n_frames), max(every, 1)))
     problems: list[str] = []
+    with console.status("Loading (the first time after an installation: compiling, half a minute) ..."):
+        warm_up()
     with text.TrackingProgress(len(session.rig), frames) as progress:
         try:
             run = track_session(

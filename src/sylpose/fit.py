@@ -16,7 +16,7 @@ from sylpose.reweight import CUTOFF
 from sylpose.robust_fit import robust_fit
 from sylpose.terms import SURFACE, Stack, TermData, stack_terms
 
-__all__ = ["MIN_MATCHES", "Fit", "fit_terms", "no_fit"]
+__all__ = ["MIN_MATCHES", "Fit", "fit_terms", "no_fit", "warm_up"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -236,3 +236,10 @@ def no_fit(data: Sequence[TermData], status: Status) -> Fit:
     weights = tuple(np.zeros(len(term)) for term in data)
     nothing = np.zeros((6, 6))
     return Fit(status, np.eye(3), np.zeros(3), weights, weights, nothing, nothing, 0)
+
+
+def warm_up() -> None:
+    """Compiles what `fit_terms` runs, or loads it where that has been done: a third of a second, half a minute once."""
+    x = np.random.default_rng(0).uniform(-0.1, 0.1, (12, 2))
+    data = [TermData(k, x, x + 0.01 * k, np.eye(3), np.array([k - 0.5, 0.0, -1.0]), 1000.0) for k in range(2)]
+    fit_terms(data, np.zeros(3), 0.1, [], np.random.default_rng(0))
