@@ -204,7 +204,7 @@ def test_every_method_runs(clip: Clip, method: str) -> None:
     assert_valid(tracked)
     error = errors(tracked, clip.truth)
     if method == "sylvester":  # it takes the object for flat (docs/method.md, "What it is worth") and drifts
-        assert error[0, 0] < 1.5
+        assert error[0, 0] < 2.5
         assert error[:, 0].max() < 20
     elif method == "epipolar":  # in small images a frame now and then is off by some degrees; the next one is not
         assert np.median(error[:, 0]) < HALF_DEGREE
