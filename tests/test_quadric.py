@@ -95,7 +95,7 @@ def matched(
         of_noise,
     )
     mine = slice(stack.offsets[t], stack.offsets[t + 1])
-    return Filled(filled[:, mine], *np.split(equations, [12, 13], axis=1), of_noise)
+    return Filled(filled[:, mine], equations[:, :12], equations[:, 12:13], equations[:, 13:], of_noise)
 
 
 def derivative(function: Callable[[FloatArray], FloatArray], size: int, step: float = 1e-6) -> FloatArray:

@@ -16,7 +16,7 @@ from sylpose.reweight import CUTOFF
 from sylpose.robust_fit import robust_fit
 from sylpose.terms import SURFACE, Stack, TermData, stack_terms
 
-__all__ = ["MIN_MATCHES", "Fit", "fit_terms", "no_fit", "warm_up"]
+__all__ = ["MIN_MATCHES", "Fit", "fit_terms", "forget", "no_fit", "warm_up"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -32,6 +32,8 @@ QUADRUPLES = 300
 SETTLED = 0.5
 # Chi-square of six unknowns that chance exceeds once in a thousand times: what no motion at all must cost more.
 CERTAIN_MOTION = 22.5
+# Points that depart from a line by no more than this, in standard deviations of their noise, lie on it.
+ROD_SIGMAS = 2.5
 # So large a share of inliers is not had by chance.
 CERTAIN_SHARE = 0.7
 # Times that partners are exchanged to measure chance.
@@ -108,12 +110,12 @@ def fit_terms(
         noise,
     )
     status = Status.OK
-    if not (weights > 0).sum() >= MIN_MATCHES:
+    if not (weights > 0).sum() >= MIN_MATCHES or not _is_consistent(stack, usable, weights, rotation, shift, sigma_px):
         status = Status.NOT_CONSISTENT
-    elif not (promise < SETTLED and np.isfinite(information).all()):
+    rod = _rod(stack, weights, sigma_px)
+    # About a rod the solver circles: that is no failure.
+    if status is Status.OK and not ((promise < SETTLED or rod is not None) and np.isfinite(information).all()):
         status = Status.NOT_CONVERGED
-    elif not _is_consistent(stack, usable, weights, rotation, shift, sigma_px):
-        status = Status.NOT_CONSISTENT
     if status is not Status.OK:
         return no_fit(data, status)
     if _stands_still(stack, weights, across, sigma_px):
@@ -122,6 +124,8 @@ def fit_terms(
     freedom = int((weights > 0).sum()) - 6
     known = max(freedom - 2, 1) / freedom
     information, without_depth = (known * _without_noise(part, noise) for part in (information, without_depth))
+    if rod is not None:
+        information, without_depth = forget(information, rod), forget(without_depth, rod)
     return Fit(
         status,
         rotation,
@@ -146,13 +150,48 @@ def _stands_still(stack: Stack, weights: FloatArray, across: FloatArray, sigma_p
     return bool(weights @ (stood - moved) < CERTAIN_MOTION)
 
 
+def _rod(stack: Stack, weights: FloatArray, sigma_px: FloatArray) -> FloatArray | None:
+    """(6,) the turn about itself, of points that lie on one line in every camera up to noise; else None.
+
+    Noise across the line, with the surface bent to fit it, would pass for structure that shows this turn.
+    """
+    normals = np.zeros((3, 3))
+    for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
+        inliers = first + np.flatnonzero(weights[first:last])
+        if len(inliers) < 3:
+            continue
+        for points in (stack.x[inliers], stack.y[inliers]):
+            mean = points.mean(axis=0)
+            values, axes = np.linalg.eigh(np.cov(points.T))
+            if np.sqrt(max(values[0], 0.0)) * stack.focal[t] > ROD_SIGMAS * sigma_px[t]:
+                return None
+        # The plane through the current camera and the line.
+        normal = np.append(axes[:, 0], -axes[:, 0] @ mean) @ stack.qy[t]
+        normals += np.outer(normal, normal) / (normal @ normal)
+    axis = np.linalg.eigh(normals)[1][:, 0]
+    return np.concatenate([axis, np.zeros(3)])
+
+
+def forget(information: FloatArray, direction: FloatArray) -> FloatArray:
+    """Information (6, 6) less all that it says of one direction (6,)."""
+    along = information @ direction
+    known = float(direction @ along)
+    # Nothing is known of it already, up to rounding.
+    if known <= 1e-12 * float(direction**2 @ np.diag(information)):
+        return information
+    return np.asarray(information - np.outer(along, along) / known)
+
+
 def _without_noise(information: FloatArray, noise: FloatArray) -> FloatArray:
     """Information (6, 6) less the part that noise alone put there.
 
     With both as quadratic forms in axes where the information is the identity: (1 - ν)² of each axis is left, the
     sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A trace always stays.
     """
-    unit = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-12 * max(float(np.diag(information).max()), 1e-300)))
+    largest = float(np.diag(information).max())
+    if not largest > 1e-100:
+        return information
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-12 * largest))
     values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
     root = np.sqrt(np.maximum(values, 1e-14 * float(values[-1])))
     to_identity = unit[:, None] * vectors / root

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.compiled import rotvec_of
 from sylpose.features import Matches
-from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit
+from sylpose.fit import MIN_MATCHES, Fit, fit_terms, forget, no_fit
 from sylpose.moments import PairMoments
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig
@@ -239,8 +239,7 @@ def _motion(
     if fit.status is Status.SCALE_NOT_OBSERVABLE:
         for row in open_:
             # What is in a length that is not observable is not known at all, whatever the linearised model says.
-            along = information @ row
-            information = information - np.outer(along, along) / max(float(row @ along), 1e-300)
+            information = forget(information, row)
     return Motion(
         status=fit.status,
         motion=motion_about(center, fit) if fit.status.has_pose or len(open_) else None,

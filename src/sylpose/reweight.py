@@ -46,7 +46,7 @@ SIGMA_GROWTH = 2.0
 # of it lies between, and is hardly worse than either at its best (docs/benchmarks.md).
 INTEGRATED = 0.5
 # Neighbours have like relief: of all a term's matches only so many are independent of each other in it.
-INDEPENDENT = 20.0
+INDEPENDENT = 6.0
 # A camera that agrees with the others in fewer of its matches than this is set aside: junk alone reaches about a tenth.
 CAMERA_MIN_SHARE = 0.3
 
@@ -86,6 +86,7 @@ def reweight(
     total, right, step, prior = np.empty((6, 6)), np.empty(6), np.empty(6), np.empty((SURFACE, SURFACE))
     open_prior = np.empty((SURFACE, SURFACE))
     noise_now, no_noise = np.empty((6, 6)), np.empty((0, 0))
+    unused = np.empty(6)
     turned, relief, mass = np.empty((3, 3)), stack.relief.copy(), np.zeros(n)
     trusted = np.ones(n, np.bool_)
     bound = SIGMA_GROWTH * sigma_px.max()
@@ -122,7 +123,7 @@ def reweight(
                 for k in range(SURFACE):
                     for j in range(SURFACE):
                         open_prior[k, j] = 1e-6 * prior[k, j]
-                _reduce(stack, t, surface[t], open_prior, equations, without_depth, right, gains[t])
+                _reduce(stack, t, surface[t], open_prior, equations, without_depth, unused, gains[t])
                 _add_turned(noise_now, stack.qy[t], noise)
             if not trusted[t]:
                 gains[t] = 0.0
@@ -130,6 +131,15 @@ def reweight(
                 return count, np.inf, np.inf
         information[:] = total
         if settled:
+            # A turn that nothing but noise shows never settles, nor need it.
+            step[:] = right
+            if promise >= SETTLED and cholesky_solve(total, step):
+                promise = 0.0
+                for i in range(6):
+                    promise += 0.5 * step[i] * right[i]
+                    for j in range(6):
+                        promise -= 0.5 * step[i] * noise[i, j] * step[j]
+                promise = max(promise, 0.0)
             break
         # Turns and shifts have different units; a trace of each keeps what is not seen at all in place.
         turns, shifts = total[0, 0] + total[1, 1] + total[2, 2], total[3, 3] + total[4, 4] + total[5, 5]
