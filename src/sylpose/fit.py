@@ -156,20 +156,49 @@ def _rod(stack: Stack, weights: FloatArray, sigma_px: FloatArray) -> FloatArray 
     Noise across the line, with the surface bent to fit it, would pass for structure that shows this turn.
     """
     normals = np.zeros((3, 3))
-    for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
-        inliers = first + np.flatnonzero(weights[first:last])
-        if len(inliers) < 3:
-            continue
-        for points in (stack.x[inliers], stack.y[inliers]):
-            mean = points.mean(axis=0)
-            values, axes = np.linalg.eigh(np.cov(points.T))
-            if np.sqrt(max(values[0], 0.0)) * stack.focal[t] > ROD_SIGMAS * sigma_px[t]:
-                return None
-        # The plane through the current camera and the line.
-        normal = np.append(axes[:, 0], -axes[:, 0] @ mean) @ stack.qy[t]
-        normals += np.outer(normal, normal) / (normal @ normal)
-    axis = np.linalg.eigh(normals)[1][:, 0]
-    return np.concatenate([axis, np.zeros(3)])
+    if not _on_lines(stack, weights, sigma_px, normals):
+        return None
+    return np.concatenate([np.linalg.eigh(normals)[1][:, 0], np.zeros(3)])
+
+
+@kernel
+def _on_lines(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: FloatArray) -> bool:
+    """Whether all terms' inliers lie on lines in both images; normals (3, 3) becomes the sum of n n' over the planes through
+    the current cameras and those lines.
+    """
+    for t in range(stack.focal.shape[0]):
+        for frame in range(2):
+            points = stack.y if frame == 1 else stack.x
+            n, mx, my, xx, xy, yy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for i in range(stack.offsets[t], stack.offsets[t + 1]):
+                if weights[i] > 0.0:
+                    n += 1
+                    mx += points[i, 0]
+                    my += points[i, 1]
+            if n < 3:
+                break
+            mx, my = mx / n, my / n
+            for i in range(stack.offsets[t], stack.offsets[t + 1]):
+                if weights[i] > 0.0:
+                    dx, dy = points[i, 0] - mx, points[i, 1] - my
+                    xx += dx * dx / (n - 1)
+                    xy += dx * dy / (n - 1)
+                    yy += dy * dy / (n - 1)
+            # The smaller eigenvalue of the points' covariance.
+            least = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+            if least > (ROD_SIGMAS * sigma_px[t] / stack.focal[t]) ** 2:
+                return False
+            if frame == 1:
+                angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+                a, b = -np.sin(angle), np.cos(angle)
+                normal = np.empty(3)
+                for k in range(3):
+                    normal[k] = a * stack.qy[t, 0, k] + b * stack.qy[t, 1, k] - (a * mx + b * my) * stack.qy[t, 2, k]
+                length = normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2
+                for k in range(3):
+                    for j in range(3):
+                        normals[k, j] += normal[k] * normal[j] / length
+    return True
 
 
 def forget(information: FloatArray, direction: FloatArray) -> FloatArray:
