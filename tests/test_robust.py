@@ -9,11 +9,20 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scenes import BODY, around
 
-from sylpose.robust import affine_epipolar_inliers, bisquare, robust_sigma
+from sylpose.robust import bisquare, hyperplane_inliers, robust_sigma
 from sylpose.simulate import random_motion, simulate_matches
 
 FloatArray = NDArray[np.float64]
 SEEDS = st.integers(0, 2**32 - 1)
+
+
+def affine_epipolar_inliers(
+    x: FloatArray, y: FloatArray, threshold: float, rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """The kernel's weights as a mask."""
+    weights = np.zeros(len(x))
+    hyperplane_inliers(np.ascontiguousarray(x), np.ascontiguousarray(y), threshold, rng.random((300, 4)), weights)
+    return weights > 0
 
 
 def joint_points(seed: int, n: int = 60, outliers: float = 0.4) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:

@@ -36,8 +36,8 @@ CERTAIN_MOTION = 22.5
 ROD_SIGMAS = 2.5
 # So large a share of inliers is not had by chance.
 CERTAIN_SHARE = 0.7
-# Times that partners are exchanged to measure chance.
-EXCHANGES = 8
+# Times that partners are exchanged to measure chance, at most, and with how many matches once or twice will do.
+EXCHANGES, EXCHANGED = 8, 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,20 +262,22 @@ def _is_consistent(
     inliers, total = int((weights > 0).sum()), int(usable.sum())
     if inliers >= CERTAIN_SHARE * total:
         return True
+    exchanges = min(EXCHANGES, 1 + EXCHANGED // total)
     by_chance = 0.0
     distance, across, along, parallax, agree = np.empty((5, len(weights)))
-    no_noise = np.empty((0, 0))
-    for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
-        index = first + np.flatnonzero(usable[first:last])
-        if not (weights[first:last] > 0).any():
-            continue
-        variance, relief = (sigma_px[t] / stack.focal[t]) ** 2, stack.relief[t]
-        exchanges = range(1, min(len(index), EXCHANGES + 1))
-        for k in exchanges:
-            y = stack.y.copy()
-            y[index] = np.roll(stack.y[index], k, axis=0)
-            mixed = stack._replace(y=y)
-            surface, equations = stack.surface_mean[t], np.empty((6 + SURFACE, 8 + SURFACE))
+    no_noise, equations = np.empty((0, 0)), np.empty((6 + SURFACE, 8 + SURFACE))
+    for k in range(1, exchanges + 1):
+        y = stack.y.copy()
+        for first, last in zip(stack.offsets, stack.offsets[1:], strict=False):
+            index = first + np.flatnonzero(usable[first:last])
+            y[index] = np.roll(y[index], k, axis=0)
+        mixed = stack._replace(y=y)
+        agree[:] = 0.0
+        for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
+            # What is set aside, and a match that cannot be exchanged with another, tells nothing.
+            if not (weights[first:last] > 0).any() or usable[first:last].sum() <= k:
+                continue
+            variance, relief, surface = (sigma_px[t] / stack.focal[t]) ** 2, stack.relief[t], stack.surface_mean[t]
             match_equations(
                 mixed,
                 t,
@@ -295,7 +297,7 @@ def _is_consistent(
                 equations,
                 no_noise,
             )
-            by_chance += float((agree[index] > 0.0).sum()) / len(exchanges)
+        by_chance += float((agree[usable] > 0.0).sum()) / exchanges
     return inliers > 12 + 4.0 * by_chance
 
 

@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from sylpose.compiled import cholesky_solve, kernel
 
-__all__ = ["affine_epipolar_inliers", "bisquare", "hyperplane_inliers", "robust_sigma"]
+__all__ = ["bisquare", "hyperplane_inliers", "robust_sigma"]
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 # Matches that hypotheses are scored on, at most: enough to tell them apart, and the cost stays bounded.
 SCORED = 256
@@ -20,9 +19,8 @@ MISS = 1e-3
 ALONG_CUTOFF = 6.0
 
 
-def affine_epipolar_inliers(
-    x: FloatArray, y: FloatArray, threshold: float, rng: np.random.Generator, *, hypotheses: int = 300
-) -> BoolArray:
+@kernel
+def hyperplane_inliers(x: FloatArray, y: FloatArray, threshold: float, picks: FloatArray, weights: FloatArray) -> float:
     """Matches of one camera that fit one affine epipolar constraint.
 
     Under weak perspective the joint points (x1, x2, y1, y2) of a rigid motion lie on a hyperplane of the 4D space, which
@@ -32,27 +30,13 @@ def affine_epipolar_inliers(
     Args:
         x, y: (n, 2) points in the two frames.
         threshold: largest distance to the hyperplane, same units.
-        rng: seeded generator.
-        hypotheses: number of quadruples, at most: drawing ends when a better one has become unlikely.
-
-    Returns:
-        (n,) mask. All True for fewer than 6 matches, which a hyperplane cannot contradict.
-
-    Source: the affine epipolar constraint, Shapiro, Zisserman, Brady 1995; Hartley & Zisserman, section 14.3.
-    """
-    weights = np.zeros(len(x))
-    hyperplane_inliers(
-        np.ascontiguousarray(x, float), np.ascontiguousarray(y, float), threshold, rng.random((hypotheses, 4)), weights
-    )
-    return weights > 0
-
-
-@kernel
-def hyperplane_inliers(x: FloatArray, y: FloatArray, threshold: float, picks: FloatArray, weights: FloatArray) -> float:
-    """`affine_epipolar_inliers`, compiled: weights (n,) become 1 or 0; picks (h, 4) in [0, 1) choose the quadruples.
+        picks: (h, 4) in [0, 1), choose the quadruples: h at most, fewer when a better one has become unlikely.
+        weights: (n,) become 1 or 0; all 1 for fewer than 6 matches, which a hyperplane cannot contradict.
 
     Returns:
         the inliers' rms distance to the hyperplane, corrected for its four unknowns; 0 for fewer than six matches.
+
+    Source: the affine epipolar constraint, Shapiro, Zisserman, Brady 1995; Hartley & Zisserman, section 14.3.
     """
     n = x.shape[0]
     for i in range(n):
