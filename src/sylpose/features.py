@@ -46,7 +46,8 @@ class Matches:
     y: FloatArray
 
     def __post_init__(self) -> None:
-        x, y = np.array(self.x, dtype=float).reshape(-1, 2), np.array(self.y, dtype=float).reshape(-1, 2)
+        # Row by row in memory, as the compiled solvers want it.
+        x, y = (np.array(part, dtype=float, order="C").reshape(-1, 2) for part in (self.x, self.y))
         if x.shape != y.shape:
             raise ValueError(f"matches need as many points in frame i as in j, got {len(x)} and {len(y)}")
         if not (np.isfinite(x).all() and np.isfinite(y).all()):

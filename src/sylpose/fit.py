@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sylpose.compiled import kernel
+from sylpose.compiled import kernel, rotvec_of
 from sylpose.features import STILL_PX
 from sylpose.quadric import match_equations
 from sylpose.results import Status
@@ -28,8 +28,8 @@ MIN_MATCHES = 8
 FAR_PX = 6.0
 # Quadruples that a term's seeds are drawn with, at most.
 QUADRUPLES = 300
-# A solver whose last step was a standard deviation long (this is half its square) had not settled.
-SETTLED = 0.5
+# A solver whose last step was a standard deviation long (this is half its square) had not converged.
+CONVERGED = 0.5
 # Chi-square of six unknowns that chance exceeds once in a thousand times: what no motion at all must cost more.
 CERTAIN_MOTION = 22.5
 # Points that depart from a line by no more than this, in standard deviations of their noise, lie on it.
@@ -50,7 +50,8 @@ class Fit:
         weights: per term (n,), 0 for outliers.
         residuals: per term (n,) signed epipolar distances, pixels.
         information: (6, 6) of (w, d).
-        information_without_depth: (6, 6) the same when nothing is believed of how far away the object is.
+        information_without_depth: (6, 6) the same when nothing is believed of its surfaces, neither how far away they are
+            nor how curved.
         iterations: of the solver, all rounds.
     """
 
@@ -114,16 +115,16 @@ def fit_terms(
         status = Status.NOT_CONSISTENT
     rod = _rod(stack, weights, sigma_px)
     # About a rod the solver circles: that is no failure.
-    if status is Status.OK and not ((promise < SETTLED or rod is not None) and np.isfinite(information).all()):
+    if status is Status.OK and not ((promise < CONVERGED or rod is not None) and np.isfinite(information).all()):
         status = Status.NOT_CONVERGED
     if status is not Status.OK:
         return no_fit(data, status)
-    if _stands_still(stack, weights, across, sigma_px):
-        status, rotation, shift = Status.NO_MOTION, np.eye(3), np.zeros(3)
     # σ is estimated: the covariance is that of Student's distribution.
     freedom = int((weights > 0).sum()) - 6
     known = max(freedom - 2, 1) / freedom
     information, without_depth = (known * _without_noise(part, noise) for part in (information, without_depth))
+    if _stands_still(stack, weights, across, sigma_px, rotation, shift, information):
+        status, rotation, shift = Status.NO_MOTION, np.eye(3), np.zeros(3)
     if rod is not None:
         information, without_depth = forget(information, rod), forget(without_depth, rod)
     return Fit(
@@ -138,15 +139,29 @@ def fit_terms(
     )
 
 
-def _stands_still(stack: Stack, weights: FloatArray, across: FloatArray, sigma_px: FloatArray) -> bool:
-    """Whether no motion at all explains the inliers as well as the fitted one does.
+def _stands_still(
+    stack: Stack,
+    weights: FloatArray,
+    across: FloatArray,
+    sigma_px: FloatArray,
+    rotation: FloatArray,
+    shift: FloatArray,
+    information: FloatArray,
+) -> bool:
+    """Whether the motion found may be none: it is no further from none than chance takes it, by its own information
+    (Wald's test), and none explains the inliers about as well.
 
-    Its distances have two coordinates per match, of which the fit leaves one; the other, along the epipolar lines, is
-    counted as if it were all noise.
+    The second asks what the first cannot: a turn that the cameras hardly see has little information and moves the
+    matches all the same. Of a match's two coordinates the fit leaves one; the other, along its epipolar line, is counted as
+    if it were all noise.
     """
-    scale = np.repeat(stack.focal / sigma_px, np.diff(stack.offsets))
-    stood = 0.5 * ((stack.y - stack.x) ** 2).sum(axis=1) * scale**2
-    moved = (across * scale / np.repeat(stack.focal, np.diff(stack.offsets))) ** 2 + 1.0
+    motion = np.concatenate([np.empty(3), shift])
+    rotvec_of(rotation, motion[:3])
+    if motion @ information @ motion >= CERTAIN_MOTION:
+        return False
+    counts = np.diff(stack.offsets)
+    stood = 0.5 * ((stack.y - stack.x) ** 2).sum(axis=1) * np.repeat(stack.focal / sigma_px, counts) ** 2
+    moved = (across / np.repeat(sigma_px, counts)) ** 2 + 1.0
     return bool(weights @ (stood - moved) < CERTAIN_MOTION)
 
 
@@ -166,6 +181,7 @@ def _on_lines(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: 
     """Whether all terms' inliers lie on lines in both images; normals (3, 3) becomes the sum of n n' over the planes through
     the current cameras and those lines.
     """
+    lined, inliers = 0, 0
     for t in range(stack.focal.shape[0]):
         for frame in range(2):
             points = stack.y if frame == 1 else stack.x
@@ -175,8 +191,11 @@ def _on_lines(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: 
                     n += 1
                     mx += points[i, 0]
                     my += points[i, 1]
+            inliers += n
+            # Two points always lie on a line.
             if n < 3:
-                break
+                continue
+            lined += n
             mx, my = mx / n, my / n
             for i in range(stack.offsets[t], stack.offsets[t + 1]):
                 if weights[i] > 0.0:
@@ -198,7 +217,7 @@ def _on_lines(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: 
                 for k in range(3):
                     for j in range(3):
                         normals[k, j] += normal[k] * normal[j] / length
-    return True
+    return lined > inliers // 2
 
 
 def forget(information: FloatArray, direction: FloatArray) -> FloatArray:
@@ -270,7 +289,8 @@ def _is_consistent(
         y = stack.y.copy()
         for first, last in zip(stack.offsets, stack.offsets[1:], strict=False):
             index = first + np.flatnonzero(usable[first:last])
-            y[index] = np.roll(y[index], k, axis=0)
+            # By far, since neighbours in the list may be neighbours in the image, or the same match again.
+            y[index] = np.roll(y[index], k * max(1, len(index) // (exchanges + 1)), axis=0)
         mixed = stack._replace(y=y)
         agree[:] = 0.0
         for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
@@ -297,7 +317,8 @@ def _is_consistent(
                 equations,
                 no_noise,
             )
-        by_chance += float((agree[usable] > 0.0).sum()) / exchanges
+        other = usable & (y != stack.y).any(axis=1)
+        by_chance += float((agree[other] > 0.0).sum()) * total / max(int(other.sum()), 1) / exchanges
     return inliers > 12 + 4.0 * by_chance
 
 

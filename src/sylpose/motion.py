@@ -55,11 +55,12 @@ def estimate_motion(
     Args:
         rig: C cameras.
         matches: C sets of matches, in the rig's order; `Matches.none()` for a camera that sees nothing.
-        method: "epipolar" (perspective, six degrees of freedom, robust: docs/method.md, "The epipolar cost") or
+        method: "epipolar" (perspective, six degrees of freedom, robust: docs/method.md, "Two frames") or
             "sylvester" (Chen & Schonfeld's centralised estimator: weak perspective, from second moments).
         initial: a guess of the motion (while tracking, the last one), tried besides the built-in starts.
         center: (3,) where the object's centre is in frame i, world; None: the point nearest to the cameras' mean rays.
-        radius: of the object, length units; None: from the spread of the matches.
+        radius: of the object, length units, about right (twice the median distance of its points from the centre); None:
+            from the spread of the matches.
         seed: of the outlier rejection. Same input and seed, same result.
 
     Returns:
@@ -80,6 +81,10 @@ def estimate_motion(
         raise ValueError(f"method: {method!r} is not one of {', '.join(METHODS)}")
     if radius is not None and not (np.isfinite(radius) and radius > 0):
         raise ValueError(f"radius: {radius} is not a positive length")
+    if initial is not None and not np.isfinite(initial.as_matrix()).all():
+        raise ValueError("initial: the transform has values that are not finite")
+    if center is not None and not np.isfinite(np.asarray(center, dtype=float)).all():
+        raise ValueError(f"center: {center!r} is not a point of three finite coordinates")
     data = [
         TermData(c, m.x, m.y, camera.rotation, camera.center, camera.focal)
         for c, (camera, m) in enumerate(zip(rig, matches, strict=True))
@@ -114,7 +119,7 @@ def estimate_motions(
     Raises:
         ValueError: as `estimate_motion`; fewer than one thread.
     """
-    if threads < 1:
+    if int(threads) != threads or threads < 1:
         raise ValueError(f"threads: {threads} is not a positive number")
 
     def one(matches: Sequence[Matches]) -> Motion:

@@ -128,7 +128,7 @@ def estimate_pose(
 
 def _checked(camera: Camera, name: str, values: ArrayLike, width: int) -> FloatArray:
     """The values as an array (n, width) of finite numbers."""
-    array = np.asarray(values, dtype=float)
+    array = np.ascontiguousarray(values, dtype=float)
     if array.size == 0:
         return np.empty((0, width))
     if array.ndim != 2 or array.shape[1] != width:

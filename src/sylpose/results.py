@@ -65,8 +65,8 @@ class Motion:
         information: (6, 6) of (w, d): R = exp(w) R̂, d the displacement of `center` (docs/conventions.md).
         covariance: (6, 6) its inverse; infinite variance along directions that nothing is known of.
         unseen: (k, 6) directions of (w, d) that the matches leave open, and that the status is about; empty when all six
-            are seen. `information` is then that of the matches alone; else it counts in that the object is where the
-            cameras' rays meet.
+            are seen. Where it is not, `information` is that of the matches alone; else it counts in what is believed of
+            the object's place and shape.
         inliers: per camera a mask over its matches.
         residuals: (C,) per camera the rms epipolar residual of its inliers, pixels; NaN without inliers.
         method: the estimator that was used.

@@ -19,6 +19,9 @@ BoolArray = NDArray[np.bool_]
 
 # Distance from the affine epipolar constraint that perspective and noise explain.
 SEED_PX = 1.0
+# Where less than this share of a camera's matches are seeds, a wider band is tried, by this factor; it is believed when
+# it holds a majority, which outliers alone do not fill.
+SEED_SHARE, SEED_WIDE, SEED_MAJORITY = 0.4, 4.0, 0.65
 # Noise of the seeds, pixels: bounds of what is read off their distances from the hyperplane.
 SEED_SIGMA_PX = (0.15, 1.5)
 # Minima that may be refined, and how near their log-likelihood must come to the best one's: the moments, with their
@@ -106,7 +109,7 @@ def _seed(stack: Stack, usable: BoolArray, picks: FloatArray, weights: FloatArra
     """Each term's matches that one motion can explain: weights (N,) of 1 or 0, and their noise (T,)."""
     n, n_matches = stack.focal.shape[0], stack.x.shape[0]
     x, y, index = np.empty((n_matches, 2)), np.empty((n_matches, 2)), np.empty(n_matches, np.int64)
-    mine = np.empty(n_matches)
+    mine, wide = np.empty(n_matches), np.empty(n_matches)
     lower, upper = SEED_SIGMA_PX
     usual, known = 0.0, 0
     for t in range(n):
@@ -121,12 +124,26 @@ def _seed(stack: Stack, usable: BoolArray, picks: FloatArray, weights: FloatArra
         rms = hyperplane_inliers(x[:count], y[:count], SEED_PX / stack.focal[t], picks, mine[:count])
         kept = 0
         for k in range(count):
+            kept += mine[k] > 0.0
+        bound = upper
+        if count >= 12 and kept < SEED_SHARE * count:
+            # Outliers, or noise: a wider band tells.
+            wide_rms = hyperplane_inliers(
+                x[:count], y[:count], SEED_WIDE * SEED_PX / stack.focal[t], picks, wide[:count]
+            )
+            wide_kept = 0
+            for k in range(count):
+                wide_kept += wide[k] > 0.0
+            if wide_kept > SEED_MAJORITY * count:
+                mine[:count], rms, bound = wide[:count], wide_rms, SEED_WIDE * upper
+        kept = 0
+        for k in range(count):
             weights[index[k]] = mine[k]
             kept += mine[k] > 0.0
         sigma_px[t] = 0.0
         if kept >= 8:
             # The hyperplane spans both frames' coordinates, as Sampson's distance does.
-            sigma_px[t] = min(max(rms * stack.focal[t], lower), upper)
+            sigma_px[t] = min(max(rms * stack.focal[t], lower), bound)
             usual += sigma_px[t]
             known += 1
     for t in range(n):

@@ -130,7 +130,8 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> 
         center: (3,) g.
         radius: of the object, length units.
     """
-    x, offsets = np.concatenate([term.x for term in data]), _offsets(data)
+    x, y = (np.ascontiguousarray(np.concatenate(part)) for part in zip(*((t.x, t.y) for t in data), strict=True))
+    offsets = _offsets(data)
     qx, qy = np.array([term.rotation_x for term in data]), np.array([term.rotation for term in data])
     a1, a2 = np.array([term.center_x for term in data]) - center, np.array([term.center for term in data]) - center
     place = -np.einsum("tij,tj->ti", qx, a1)
@@ -138,17 +139,20 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> 
     # An object that reaches to its camera: its depth is bounded as well as can be.
     share = np.minimum(radius / depth, 1.0)
     spread = 0.5 * share
+    extra = _place_variance(a1)
     bulge = np.array([OFFSET_PER_BULGE, 0.0, 0.0, -1.0, 0.0, -1.0]) * BULGE
     scatter = np.array([OFFSET_SD, 0.0, 0.0, CURVATURE_SD, CURVATURE_SD, CURVATURE_SD])
     # In radii; slopes, which are per spread, come on their own.
-    information = np.linalg.inv(np.outer(bulge, bulge) + np.diag(scatter**2 + np.array([0, 1, 1, 0, 0, 0])))
+    covariance = np.outer(bulge, bulge) + np.diag(scatter**2 + np.array([0, 1, 1, 0, 0, 0]))
+    information = np.linalg.inv(covariance + extra[:, None, None] * np.diag(np.eye(SURFACE)[0]))
     scale = np.repeat(1.0 / share[:, None], SURFACE, axis=1)
     scale[:, 1:3] = 1.0 / (SLOPE_SD * spread[:, None])
     plane_mean = np.zeros((len(data), 3))
     plane_mean[:, 0] = 1.0 + PLANE_OFFSET * share
+    plane_offset_sd = np.sqrt(PLANE_OFFSET_SD**2 + extra) * share
     return Stack(
         x=x,
-        y=np.concatenate([term.y for term in data]),
+        y=y,
         offsets=offsets,
         qx=qx,
         qy=qy,
@@ -161,10 +165,24 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> 
         surface_information=information * scale[:, :, None] * scale[:, None, :],
         relief=RELIEF_SD * share,
         plane_mean=plane_mean,
-        plane_sd=np.column_stack([PLANE_OFFSET_SD * share, PLANE_SLOPE_SD * spread, PLANE_SLOPE_SD * spread]),
+        plane_sd=np.column_stack([plane_offset_sd, PLANE_SLOPE_SD * spread, PLANE_SLOPE_SD * spread]),
         plane_relief=PLANE_RELIEF_SD * share,
         focal=np.array([term.focal for term in data]),
     )
+
+
+def _place_variance(a1: FloatArray) -> FloatArray:
+    """(T,) how much worse than its offset's scatter each term's depth of g is known, in squares of the object's radius.
+
+    g is where the terms' median rays meet, each of which misses the object's centre by `OFFSET_SD` radii or so. Cameras
+    close together, seen from the object, magnify that. Those in one place tell nothing of it, and nothing is assumed.
+    """
+    rays = a1 / np.maximum(np.linalg.norm(a1, axis=1, keepdims=True), 1e-300)
+    values, vectors = np.linalg.eigh((np.eye(3) - rays[:, :, None] * rays[:, None, :]).sum(axis=0))
+    # Cameras on opposite sides have it between them.
+    if not values[0] > 1e-5 or np.linalg.norm(rays.mean(axis=0)) < 0.5:
+        return np.zeros(len(a1))
+    return np.asarray(OFFSET_SD**2 * ((rays @ vectors) ** 2 * np.maximum(1.0 / values - 1.0, 0.0)).sum(axis=1))
 
 
 def object_place(data: Sequence[TermData]) -> tuple[FloatArray, float]:
@@ -175,7 +193,7 @@ def object_place(data: Sequence[TermData]) -> tuple[FloatArray, float]:
         radius, length units: twice the median distance of points from it.
     """
     anchor, spread = np.empty((len(data), 2)), np.empty(len(data))
-    _medians(np.concatenate([term.x for term in data]), _offsets(data), anchor, spread)
+    _medians(np.ascontiguousarray(np.concatenate([term.x for term in data])), _offsets(data), anchor, spread)
     turns = np.array([term.rotation_x for term in data])
     centers = np.array([term.center_x for term in data])
     rays = np.einsum("ti,tij->tj", np.column_stack([anchor, np.ones(len(data))]), turns)
