@@ -295,7 +295,7 @@ def test_a_camera_without_some_frames(clip: Clip) -> None:
         assert statuses(tracked) == [Status.FIRST] + [Status.OK] * (FRAMES - 1)
         error = errors(tracked, clip.truth)
         assert error[:, 0].max() < HALF_DEGREE
-        assert error[:, 1].max() < 2
+        assert error[:, 1].max() < 2.5
         seen = inliers(tracked)[:, 1]
         assert not seen[[0, 4, 5]].any()
         assert (seen[[3, 7]] > 20).all()
