@@ -149,6 +149,9 @@ def load_sylpose() -> Prepare:
 
     def prepare(scene: Scene, _: Options) -> Callable[[], RigidTransform | None]:
         rig = scene.rig
+        # Made once per rig, as the peers' camera poses are below.
+        prepared = [(camera.rotation, camera.center, camera.focal) for camera in rig]
+        assert len(prepared) == len(rig)
         if scene.problem == "pose":
             return lambda: estimate_pose(rig, scene.before, scene.after).motion
         matches = [Matches.from_pixels(*views) for views in zip(rig, scene.before, scene.after, strict=True)]
