@@ -150,8 +150,8 @@ def load_sylpose() -> Prepare:
     def prepare(scene: Scene, _: Options) -> Callable[[], RigidTransform | None]:
         rig = scene.rig
         # Made once per rig, as the peers' camera poses are below.
-        prepared = [(camera.rotation, camera.center, camera.focal) for camera in rig]
-        assert len(prepared) == len(rig)
+        for camera in rig:
+            _made = (camera.rotation, camera.center, camera.focal)
         if scene.problem == "pose":
             return lambda: estimate_pose(rig, scene.before, scene.after).motion
         matches = [Matches.from_pixels(*views) for views in zip(rig, scene.before, scene.after, strict=True)]

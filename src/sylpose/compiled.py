@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["cholesky_solve", "kernel", "rotation_of", "rotvec_of", "turn_by"]
+__all__ = ["cholesky", "cholesky_solve", "kernel", "rotation_of", "rotvec_of", "solve_factored", "turn_by"]
 
 FloatArray = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., object])
@@ -29,11 +29,11 @@ def kernel(function: F) -> F:
 
 
 @kernel
-def cholesky_solve(a: FloatArray, b: FloatArray) -> bool:
-    """Solves a x = b in place: b (n,) becomes x, a (n, n) symmetric becomes its Cholesky factor (lower).
+def cholesky(a: FloatArray) -> bool:
+    """a (n, n), symmetric, becomes its Cholesky factor (lower triangle) in place.
 
     Returns:
-        False, with a and b half done, where a is not positive definite.
+        False, with a half done, where a is not positive definite.
     """
     n = a.shape[0]
     for i in range(n):
@@ -47,6 +47,13 @@ def cholesky_solve(a: FloatArray, b: FloatArray) -> bool:
                 a[i, i] = np.sqrt(s)
             else:
                 a[i, j] = s / a[j, j]
+    return True
+
+
+@kernel
+def solve_factored(a: FloatArray, b: FloatArray) -> None:
+    """b (n,) becomes x with L L' x = b, for a (n, n) whose lower triangle is L (`cholesky`)."""
+    n = a.shape[0]
     for i in range(n):
         s = b[i]
         for k in range(i):
@@ -57,6 +64,18 @@ def cholesky_solve(a: FloatArray, b: FloatArray) -> bool:
         for k in range(i + 1, n):
             s -= a[k, i] * b[k]
         b[i] = s / a[i, i]
+
+
+@kernel
+def cholesky_solve(a: FloatArray, b: FloatArray) -> bool:
+    """Solves a x = b in place: b (n,) becomes x, a (n, n) symmetric becomes its Cholesky factor (lower).
+
+    Returns:
+        False, with a half done, where a is not positive definite.
+    """
+    if not cholesky(a):
+        return False
+    solve_factored(a, b)
     return True
 
 

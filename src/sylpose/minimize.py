@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sylpose.compiled import cholesky_solve, kernel, rotation_of, rotvec_of, turn_by
+from sylpose.compiled import cholesky, cholesky_solve, kernel, rotation_of, rotvec_of, solve_factored, turn_by
 from sylpose.epipolar import along_variance, term_equations, term_misfit
 from sylpose.terms import Stack
 
@@ -31,14 +31,16 @@ MIRRORS = 4
 def _eliminate(hessian: FloatArray, gradient: FloatArray, damping: float, gain: FloatArray) -> bool:
     """gain (3, 7): a term's surface block solved for its coupling to the motion and for its gradient."""
     block, column = np.empty((3, 3)), np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            block[i, j] = hessian[6 + i, 6 + j]
+        block[i, i] *= 1.0 + damping
+    if not cholesky(block):
+        return False
     for k in range(7):
         for i in range(3):
-            for j in range(3):
-                block[i, j] = hessian[6 + i, 6 + j]
-            block[i, i] *= 1.0 + damping
             column[i] = hessian[6 + i, k] if k < 6 else gradient[6 + i]
-        if not cholesky_solve(block, column):
-            return False
+        solve_factored(block, column)
         for i in range(3):
             gain[i, k] = column[i]
     return True

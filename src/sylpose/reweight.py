@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sylpose.compiled import cholesky_solve, kernel, turn_by
+from sylpose.compiled import cholesky, cholesky_solve, kernel, solve_factored, turn_by
 from sylpose.quadric import match_equations
 from sylpose.terms import SURFACE, Stack
 
@@ -214,6 +214,7 @@ def _reduce(
     gain (6, 7) becomes the surface's answer: α changes by gain[:, 6] - gain[:, :6] (w, d).
     """
     block, column, small = np.empty((SURFACE, SURFACE)), np.empty(SURFACE), np.empty((6, 7))
+    of_motion = np.empty((6, 6))
     q = stack.qy[t]
     # From the camera's axes to the world's: both halves of (w, d) turn with Q.
     for k in range(SURFACE):
@@ -229,40 +230,31 @@ def _reduce(
     for k in range(SURFACE):
         for j in range(7):
             small[k, j] = gain[k, j]
+    for i in range(SURFACE):
+        for j in range(i + 1):
+            block[i, j] = block[j, i] = equations[6 + i, 6 + j] + prior[i, j]
+    if not cholesky(block):
+        return False
     for c in range(7):
         for i in range(SURFACE):
-            for j in range(SURFACE):
-                block[i, j] = equations[6 + max(i, j), 6 + min(i, j)]
-                block[i, j] += prior[i, j]
             column[i] = gain[i, c]
-        if not cholesky_solve(block, column):
-            return False
+        solve_factored(block, column)
         for i in range(SURFACE):
             gain[i, c] = column[i]
     # What the data say of α, as a number of unknowns: trace of block^-1 (block - prior).
     unknowns = float(SURFACE)
     for c in range(SURFACE):
         for i in range(SURFACE):
-            for j in range(SURFACE):
-                block[i, j] = equations[6 + max(i, j), 6 + min(i, j)]
-                block[i, j] += prior[i, j]
             column[i] = 1.0 if i == c else 0.0
-        if not cholesky_solve(block, column):
-            return False
+        solve_factored(block, column)
         for i in range(SURFACE):
             unknowns -= column[i] * prior[i, c]
     # The derivative of log det(block) / 2, from the likelihood with α integrated out.
     pull = INTEGRATED * unknowns / max(equations[6, 13], 1e-300)
-    for h in range(2):
-        for g in range(2):
-            for i in range(3):
-                for j in range(3):
-                    s = 0.0
-                    for a in range(3):
-                        for b in range(3):
-                            k, l = 3 * h + a, 3 * g + b
-                            s += q[a, i] * equations[max(k, l), min(k, l)] * q[b, j]
-                    total[3 * h + i, 3 * g + j] += s
+    for i in range(6):
+        for j in range(i + 1):
+            of_motion[i, j] = of_motion[j, i] = equations[i, j]
+    _add_turned(of_motion, q, total)
     for i in range(6):
         h, j = i // 3, i % 3
         for a in range(3):
