@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose import simulate
 from sylpose.features import Matches
 from sylpose.moments import PairMoments
-from sylpose.motion import covariance_of, estimate_motion
+from sylpose.motion import covariance_of, estimate_motion, estimate_motions
 from sylpose.results import Motion, Status
 from sylpose.rig import Camera, Rig
 from sylpose.sylvester import solve_centralized
@@ -231,3 +231,20 @@ def test_sylvester_is_the_centralised_solution_of_the_inliers() -> None:
     between = Rotation.from_matrix(direct.rotation).inv() * paper.motion.rotation
     assert np.degrees(between.magnitude()) < 0.2  # the inliers are weighted there, not here
     assert errors(paper, pair.motion, pair.center)[0] < 2.0
+
+
+# --- many pairs -------------------------------------------------------------------------------------------------------
+
+
+def test_many_pairs_are_as_each_alone() -> None:
+    rig = rig_of(4)
+    pairs = [pair_of(rig, seed, outliers=0.2).matches for seed in range(4)]
+    alone = [estimate_motion(rig, matches) for matches in pairs]
+    for threads in (1, 2):
+        for one, found in zip(alone, estimate_motions(rig, pairs, threads=threads), strict=True):
+            assert one.motion is not None
+            assert found.motion is not None
+            np.testing.assert_array_equal(found.motion.as_matrix(), one.motion.as_matrix())
+            np.testing.assert_array_equal(found.covariance, one.covariance)
+    with pytest.raises(ValueError, match="threads: 0"):
+        estimate_motions(rig, pairs, threads=0)
