@@ -108,7 +108,7 @@ def assert_valid(tracked: Sequence[TrackedFrame]) -> None:
         pose = f.pose
         assert pose.inliers.shape == pose.residuals.shape == (len(f.frames.images),)
         if pose.world_from_object is None:
-            assert pose.status not in (Status.OK, Status.FIRST)
+            assert pose.status not in (Status.TRACKED, Status.FIRST)
             assert not pose.inliers.any()
             assert np.isnan(pose.covariance).all()
             continue

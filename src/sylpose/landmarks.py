@@ -8,7 +8,7 @@ places are fused by adding information, whatever the order (docs/method.md, "Bet
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,17 +39,20 @@ class Landmarks:
         information: (n, 3, 3), the inverse covariances.
         seen: (n,) in how many frames each was seen.
         moved: (n,) whether it was ever seen to move with the object. What never was may be background.
+        id: (n,) the landmark's number; the same feature seen again in another frame keeps it.
     """
 
     mean: FloatArray
     information: FloatArray
     seen: NDArray[np.int64]
     moved: BoolArray
+    id: NDArray[np.int64]
 
     @classmethod
     def none(cls) -> Landmarks:
         """No landmarks."""
-        return cls(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0, np.int64), np.empty(0, bool))
+        nothing = np.empty(0, np.int64)
+        return cls(np.empty((0, 3)), np.empty((0, 3, 3)), nothing, np.empty(0, bool), nothing)
 
     @classmethod
     def concatenate(cls, parts: Sequence[Landmarks]) -> Landmarks:
@@ -60,6 +63,7 @@ class Landmarks:
             np.concatenate([p.information for p in parts]),
             np.concatenate([p.seen for p in parts]),
             np.concatenate([p.moved for p in parts]),
+            np.concatenate([p.id for p in parts]),
         )
 
     def __len__(self) -> int:
@@ -76,9 +80,16 @@ class Landmarks:
         """(n,) standard deviation in that direction."""
         return np.asarray(1.0 / np.sqrt(np.maximum(np.linalg.eigvalsh(self.information)[:, 0], 1e-30)))
 
+    def update(self, index: NDArray[np.int64], known: Landmarks) -> None:
+        """Replaces those at `index` (k,) by other ones (k)."""
+        for part in fields(Landmarks):
+            getattr(self, part.name)[index] = getattr(known, part.name)
+
     def subset(self, index: NDArray[np.int64] | BoolArray) -> Landmarks:
         """Those that a mask or an index array picks."""
-        return Landmarks(self.mean[index], self.information[index], self.seen[index], self.moved[index])
+        return Landmarks(
+            self.mean[index], self.information[index], self.seen[index], self.moved[index], self.id[index]
+        )
 
 
 def rays(features: Features, camera: Camera, object_from_world: RigidTransform) -> tuple[FloatArray, FloatArray]:
@@ -90,7 +101,12 @@ def rays(features: Features, camera: Camera, object_from_world: RigidTransform) 
 
 
 def new_landmarks(
-    features: Features, camera: Camera, object_from_world: RigidTransform, distance: FloatArray, sd: FloatArray
+    features: Features,
+    camera: Camera,
+    object_from_world: RigidTransform,
+    distance: FloatArray,
+    sd: FloatArray,
+    first_id: int = 0,
 ) -> Landmarks:
     """Features seen for the first time: on their rays, at a distance (n,) from the camera give or take sd (n,)."""
     center, directions = rays(features, camera, object_from_world)
@@ -98,7 +114,8 @@ def new_landmarks(
     along = directions[:, :, None] * directions[:, None, :]
     across = (camera.focal / (RAY_SIGMA_PX * distance)) ** 2
     information = across[:, None, None] * (np.eye(3) - along) + along / (sd**2)[:, None, None]
-    return Landmarks(mean, information, np.ones(len(mean), np.int64), np.zeros(len(mean), bool))
+    ids = first_id + np.arange(len(mean))
+    return Landmarks(mean, information, np.ones(len(mean), np.int64), np.zeros(len(mean), bool), ids)
 
 
 def seen_again(known: Landmarks, features: Features, camera: Camera, object_from_world: RigidTransform) -> Landmarks:
@@ -109,7 +126,8 @@ def seen_again(known: Landmarks, features: Features, camera: Camera, object_from
     ray = across[:, None, None] * (np.eye(3) - directions[:, :, None] * directions[:, None, :])
     information = known.information + ray
     right = np.einsum("nij,nj->ni", known.information, known.mean) + ray @ center
-    return Landmarks(np.linalg.solve(information, right[..., None])[..., 0], information, known.seen + 1, known.moved)
+    mean = np.linalg.solve(information, right[..., None])[..., 0]
+    return replace(known, mean=mean, information=information, seen=known.seen + 1)
 
 
 def depth_prior(
@@ -159,16 +177,16 @@ def learn_landmarks(
     cloud: FloatArray,
     radius: float,
     bulge: float = 0.0,
+    first_id: int = 0,
 ) -> Landmarks:
-    """The landmarks of a solved frame's features: known ones (k) seen again at `index` (k,), the others new.
+    """The landmarks of a solved frame's features: known ones (k) seen again at `index` (k,), the others new, with the
+    numbers `first_id` and following.
 
     Args: see `depth_prior`.
     """
     object_from_world = world_from_object.inv()
     distance, sd = depth_prior(features, camera, world_from_object, cloud, radius, bulge)
-    landmarks = new_landmarks(features, camera, object_from_world, distance, sd)
+    landmarks = new_landmarks(features, camera, object_from_world, distance, sd, first_id)
     if len(index):
-        again = seen_again(known, features.subset(index), camera, object_from_world)
-        landmarks.mean[index], landmarks.information[index] = again.mean, again.information
-        landmarks.seen[index], landmarks.moved[index] = again.seen, again.moved
+        landmarks.update(index, seen_again(known, features.subset(index), camera, object_from_world))
     return landmarks

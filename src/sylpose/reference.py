@@ -31,24 +31,27 @@ class Reference:
 
     Attributes:
         index: frame number.
+        time: seconds.
         features: per camera.
         landmarks: per camera, set when the frame is solved.
         background: per camera (n,), features that were found to stand still where the object moved.
         world_from_object: set when the frame is solved.
         covariance: (6, 6) of (w, d), docs/conventions.md.
+        viewpoints: (C, 3) the cameras' centres in the object's frame, set when the frame is solved.
+        age: in how many frames the landmarks were usually seen that it was solved with.
+        late: (C,) seconds after `time` that each camera took its image.
     """
 
     index: int
+    time: float
     features: tuple[Features, ...]
     background: tuple[BoolArray, ...]
     landmarks: tuple[Landmarks, ...] = ()
     world_from_object: RigidTransform = field(default_factory=RigidTransform.identity)
     covariance: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
-
-    @classmethod
-    def new(cls, index: int, features: tuple[Features, ...], world_from_object: RigidTransform) -> Reference:
-        """A frame at a known pose, none of whose features is known to be background."""
-        return cls(index, features, tuple(np.zeros(len(f), bool) for f in features), (), world_from_object)
+    viewpoints: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    age: float = 1.0
+    late: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,10 @@ class Status(Enum):
 
     OK = "ok"
     FIRST = "first frame"
+    TRACKED = "tracked"
+    RELOCALISED = "relocalised"
+    COASTING = "coasting"
+    LOST = "lost"
     TOO_FEW_MATCHES = "too few matches"
     SCALE_NOT_OBSERVABLE = "scale not observable"
     TURN_NOT_OBSERVABLE = "turn not observable"
@@ -42,6 +46,10 @@ class Status(Enum):
 _TEXTS = {
     Status.OK: "All six degrees of freedom were found.",
     Status.FIRST: "The first frame with the object: the pose that all others are relative to.",
+    Status.TRACKED: "The object was followed from the frame before.",
+    Status.RELOCALISED: "The object was found again, by what was learnt of it before.",
+    Status.COASTING: "The object was not found; it is taken to go on as it did, with growing uncertainty.",
+    Status.LOST: "The object was not found, for too long to say where it may be.",
     Status.TOO_FEW_MATCHES: "Too few matches on the object in all cameras together.",
     Status.SCALE_NOT_OBSERVABLE: "The turn and the translation's direction were found; how far it moved cannot be seen "
     "(one camera, or a translation without a turn).",
@@ -50,7 +58,15 @@ _TEXTS = {
     Status.NOT_CONVERGED: "The solver did not settle within its bound of iterations.",
     Status.NOT_CONSISTENT: "No single rigid motion explains enough of the matches.",
 }
-_WITH_POSE = {Status.OK, Status.FIRST, Status.SCALE_NOT_OBSERVABLE, Status.NO_MOTION}
+_WITH_POSE = {
+    Status.OK,
+    Status.FIRST,
+    Status.TRACKED,
+    Status.RELOCALISED,
+    Status.COASTING,
+    Status.SCALE_NOT_OBSERVABLE,
+    Status.NO_MOTION,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +129,11 @@ class FramePose:
     residuals: FloatArray
 
     @property
+    def measured(self) -> bool:
+        """Whether the pose was found in this frame's images: False without one, and where it is carried on only."""
+        return self.world_from_object is not None and self.status is not Status.COASTING
+
+    @property
     def sigma(self) -> FloatArray:
         """(6,) standard deviations: rotation about the world's x, y, z (radians), then position x, y, z."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
@@ -167,8 +188,8 @@ class Trajectory:
 
     @property
     def solved(self) -> BoolArray:
-        """(N,) which frames have a pose."""
-        return np.array([f.world_from_object is not None for f in self.frames], dtype=bool)
+        """(N,) in which frames the pose was found."""
+        return np.array([f.measured for f in self.frames], dtype=bool)
 
     @property
     def positions(self) -> FloatArray:

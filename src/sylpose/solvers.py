@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sylpose.alignment import Aligned, Sights, align
+from sylpose.alignment import CUTOFF, Aligned, Sights, align
 from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit
 from sylpose.landmarks import Landmarks
 from sylpose.motion import sylvester_fit
@@ -17,7 +17,7 @@ from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.terms import object_place
 
-__all__ = ["SOLVERS", "best_landmarks", "first_motion"]
+__all__ = ["SOLVERS", "best_landmarks", "first_motion", "usual_age"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -31,6 +31,8 @@ POOR_COST = 0.6
 YOUNG = 3
 # Weight of a landmark that stands still and never moved, while others move.
 STILL_TRUST = 0.05
+# Landmarks with less trust are no evidence that a pose is right.
+TRUSTED = 0.06
 
 
 def solve_epipolar(
@@ -80,7 +82,7 @@ def solve_landmarks(
     rng: np.random.Generator,
 ) -> Fit:
     """Alignment with the landmarks of all references; from other starts where the guess is contradicted."""
-    sights = _without_background([_sights(rig, pairs, current, base, camera) for camera in range(len(rig))])
+    sights = _trusted([_sights(rig, pairs, current, base, camera) for camera in range(len(rig))], base.age)
     data = [pair.term(rig, base) for pair in pairs]
     if sum(len(s.points) for s in sights) < MIN_MATCHES:
         return no_fit(data, Status.TOO_FEW_MATCHES)
@@ -93,22 +95,64 @@ def solve_landmarks(
         if other.status is Status.OK:
             again = align(sights, other.rotation, other.shift, first_px=4.0)
             aligned = min(aligned, again, key=lambda a: a.cost)
-    return _fit_of(aligned, pairs, len(rig))
+    fit = _fit_of(aligned, pairs, len(rig))
+    if fit.status.has_pose and _by_chance(sights, aligned, current):
+        return no_fit(data, Status.NOT_CONSISTENT)
+    return fit
 
 
-def _without_background(sights: Sequence[tuple[Sights, BoolArray]]) -> list[Sights]:
-    """Takes the trust from landmarks that stand still and were never seen to move, once others do.
+def _by_chance(sights: Sequence[Sights], aligned: Aligned, current: Reference) -> bool:
+    """Whether random matches would agree with the pose about as often.
 
-    A background that is not known as such yet agrees with itself as well as the object does, and is often larger.
+    A random match agrees when it falls into the ellipse around its landmark's image in which it counts as an inlier: that
+    happens with the ellipse's share of the region that the camera's features fill. The best of many poses finds more of
+    them, hence the factor; six a pose can always satisfy. What is not trusted is no evidence.
     """
+    inliers, total, by_chance = 0, 0, 0.0
+    for c, (sight, weights, residuals) in enumerate(zip(sights, aligned.weights, aligned.residuals, strict=True)):
+        if not len(sight.image):
+            continue
+        good = (weights > 0) & (sight.trust > TRUSTED)
+        inliers += len(np.unique(sight.feature[good]))
+        total += len(np.unique(sight.feature))
+        sigma = np.sqrt(np.mean(residuals[good] ** 2)) / sight.focal if good.any() else 1.0 / sight.focal
+        ends = [
+            (sight.points + k * sight.depth_error) @ aligned.rotation.T + aligned.shift - sight.center for k in (0, 1)
+        ]
+        near, far = (p @ sight.rotation.T for p in ends)
+        along = np.linalg.norm(near[:, :2] / near[:, 2:] - far[:, :2] / far[:, 2:], axis=1)
+        region = float(np.prod(np.ptp(current.features[c].normalized, axis=0)))
+        share = np.minimum(np.pi * CUTOFF**2 * sigma * np.hypot(sigma, along) / max(region, 1e-12), 1.0)
+        # A feature that is matched with several landmarks is tried once.
+        by_chance += float(np.bincount(sight.feature, share).sum() / max(np.bincount(sight.feature).max(), 1))
+    return inliers < 0.8 * total and inliers < 12 + 4.0 * by_chance
+
+
+def _trusted(sights: Sequence[tuple[Sights, BoolArray]], before: float) -> list[Sights]:
+    """Sights with their trust, given as in how many frames each was seen, and whether each moves or did.
+
+    What has moved along for long deserves more of it than what has just come into view (a hand, say). A landmark that
+    stands still and was never seen to move gets next to none once others do: a background that is not known as such yet
+    agrees with itself as well as the object does, and is often larger.
+
+    Args:
+        before: the age that was usual in the last frame. Where all that is old has vanished at once, something else is seen.
+    """
+    seen = np.concatenate([s.trust for s, _ in sights])
+    usual = max(usual_age(seen), before)
     moving = sum(int(m.sum()) for _, m in sights)
-    if moving < max(MIN_MATCHES, 0.1 * sum(len(m) for _, m in sights)):
-        return [sight for sight, _ in sights]
-    return [replace(sight, trust=sight.trust * np.where(m, 1.0, STILL_TRUST)) for sight, m in sights]
+    background = STILL_TRUST if moving >= max(MIN_MATCHES, 0.1 * len(seen)) else 1.0
+    return [replace(s, trust=np.minimum(s.trust / usual, 1.0) ** 2 * np.where(m, 1.0, background)) for s, m in sights]
+
+
+def usual_age(seen: FloatArray) -> float:
+    """The number of frames that a landmark must have been seen in to be trusted fully, from those of all (n,)."""
+    return float(np.quantile(seen, 0.75)) if len(seen) else 1.0
 
 
 def _sights(rig: Rig, pairs: Sequence[Pair], current: Reference, base: Reference, c: int) -> tuple[Sights, BoolArray]:
-    """One camera's matches of landmarks, carried to where the object was in the base frame; which of them move or did."""
+    """One camera's matches of landmarks, carried to where the object was in the base frame, and which of them move or did;
+    their trust is for now in how many frames they were seen."""
     camera, mine = rig.cameras[c], [pair for pair in pairs if pair.camera == c]
     known = Landmarks.concatenate([pair.reference.landmarks[c].subset(pair.indices[:, 0]) for pair in mine])
     index = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in mine)])
@@ -116,15 +160,16 @@ def _sights(rig: Rig, pairs: Sequence[Pair], current: Reference, base: Reference
     points = turn.apply(known.mean).reshape(-1, 3)
     error = turn.apply(known.depth_error).reshape(-1, 3)
     away = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
-    # What has moved along for long deserves more trust than what has just come into view (a hand, say).
-    trust = np.minimum(known.seen / np.quantile(known.seen, 0.75), 1.0) ** 2 if len(known) else np.empty(0)
+    # In how many frames each feature was seen, by the best known of its landmarks.
+    seen = np.zeros(int(index.max(initial=-1)) + 1)
+    np.maximum.at(seen, index, known.seen)
     moving = np.concatenate([np.empty(0, bool), *(~still(pair) for pair in mine)]) | known.moved
     sights = Sights(
         points=points,
         depth_error=error * away[:, None],
         image=current.features[c].normalized[index],
         feature=index,
-        trust=trust,
+        trust=seen[index],
         rotation=camera.rotation,
         center=camera.center - center,
         focal=camera.focal,

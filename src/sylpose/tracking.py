@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +14,18 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.capture import Box, FrameSet
 from sylpose.features import MAX_FEATURES, Features, detect, seen_before
 from sylpose.fit import MIN_MATCHES, Fit
+from sylpose.keyframes import add_keyframe, references_of, viewpoints
 from sylpose.landmarks import learn_landmarks
 from sylpose.motion import covariance_of, motion_about, observed
 from sylpose.reference import Pair, Reference, inliers_of, learn_background, match_pair, triangulate
 from sylpose.region import polygon_mask, region_polygon, volume_from_boxes
+from sylpose.relocalise import relocalise
 from sylpose.results import FramePose, Status
 from sylpose.rig import Rig
-from sylpose.solvers import SOLVERS, best_landmarks, first_motion
+from sylpose.solvers import SOLVERS, best_landmarks, first_motion, usual_age
 from sylpose.terms import object_place
 
-__all__ = ["METHODS", "TrackedFrame", "Tracker", "track"]
+__all__ = ["METHODS", "Sightings", "TrackedFrame", "Tracker", "track"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -32,9 +33,6 @@ Regions = Sequence[FloatArray | None]
 
 # How each frame's pose is found; the first is the default.
 METHODS = tuple(SOLVERS)
-# Each frame is solved against the frames this many back: near ones match well, far ones stop the drift
-# (docs/method.md, "Drift").
-LAGS = (1, 3, 8, 16)
 # Without boxes nothing is known of the object until it moves: so many frames wait for that, with their images.
 PATIENCE = 10
 # Margin of the object's region, as a share of its size in the image; it grows while the object is lost, up to a bound.
@@ -43,6 +41,26 @@ REGION_GROWTH, MAX_GROWTH = 0.15, 1.0
 START_FEATURES = 4000
 # Object points kept to follow the object's region.
 MAX_POINTS = 1500
+# Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before found.
+SPEED_ROUNDS = 2
+# An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
+# (object's radii) is less certain than this.
+MAX_COASTING, COASTING_TURN, COASTING_SHIFT = 15, 0.35, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """What one camera saw of the object in one frame: what a joint refinement of all poses needs.
+
+    Attributes:
+        landmark: (n,) numbers; the same feature of the object seen in several frames has the same one.
+        normalized: (n, 2) where each was seen, undistorted.
+        place: (n, 3) where it is on the object, as far as is known by then, object's frame.
+    """
+
+    landmark: NDArray[np.int64]
+    normalized: FloatArray
+    place: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +74,8 @@ class TrackedFrame:
             frame, or None.
         regions: per camera the outline (k, 2) that was searched, pixels; None for the whole image or none of it.
         radius: of the object, length units; NaN while unknown.
+        sightings: per camera, empty where the frame was not solved.
+        late: (C,) seconds after `frames.time` at which each camera saw it.
     """
 
     pose: FramePose
@@ -63,6 +83,8 @@ class TrackedFrame:
     matches: tuple[tuple[FloatArray, FloatArray] | None, ...]
     regions: tuple[FloatArray | None, ...]
     radius: float
+    sightings: tuple[Sightings, ...] = ()
+    late: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
 def track(
@@ -71,6 +93,7 @@ def track(
     boxes: Mapping[str, Box] | None = None,
     *,
     method: str = METHODS[0],
+    offsets: Mapping[str, float] | None = None,
     workers: int | None = None,
     seed: int = 0,
 ) -> Iterator[TrackedFrame]:
@@ -78,7 +101,7 @@ def track(
 
     Args:
         frames: of the recording, in order: `session.frames()`.
-        rig, boxes, method, workers, seed: see `Tracker`.
+        rig, boxes, method, offsets, workers, seed: see `Tracker`.
 
     Yields:
         One `TrackedFrame` per frame. Without boxes the first ones are held back until the object has moved.
@@ -86,7 +109,7 @@ def track(
     Raises:
         ValueError: an unknown method; boxes of cameras that the rig does not have, or that do not meet in space.
     """
-    with Tracker(rig, boxes, method=method, workers=workers, seed=seed) as tracker:
+    with Tracker(rig, boxes, method=method, offsets=offsets, workers=workers, seed=seed) as tracker:
         for frame_set in frames:
             yield from tracker.step(frame_set)
         yield from tracker.flush()
@@ -102,6 +125,7 @@ class Tracker:
             against the standing background.
         method: "landmarks" (places of the features on the object grow certain over time: drifts least), "epipolar"
             (epipolar geometry against several references) or "sylvester" (the paper's estimator, frame to frame).
+        offsets: by camera, seconds by which its images are later than its time stamps say.
         workers: threads for detection and matching; None: one per core, at most one per camera.
         seed: of the outlier rejection. The same input and seed give the same output, whatever the number of threads.
 
@@ -115,6 +139,7 @@ class Tracker:
         boxes: Mapping[str, Box] | None = None,
         *,
         method: str = METHODS[0],
+        offsets: Mapping[str, float] | None = None,
         workers: int | None = None,
         seed: int = 0,
     ) -> None:
@@ -123,10 +148,15 @@ class Tracker:
         self.rig = rig
         self._solve = SOLVERS[method]
         self._seed = seed
-        self._solved: deque[Reference] = deque(maxlen=max(LAGS) + 1)
+        self._offsets = dict(offsets or {})
+        self._keyframes: list[Reference] = []
+        self._last: Reference  # the last solved frame, from the first one on
         self._waiting: list[tuple[Reference, FrameSet]] = []
-        self._velocity = RigidTransform.identity()  # the last motion, per frame number
-        self._lost = 0  # frames since the last solved one
+        self._twist = np.zeros(6)  # the last motion per second, exponential coordinates in the world
+        self._unsteady = np.zeros(6)  # mean square of its changes from frame to frame
+        self._missed = 0  # frames since the last solved one
+        self._lost = False  # whether nothing is known any more of where it is
+        self._n_landmarks = 0
         self._surroundings = [Features.none()] * len(rig)  # the first frame's features outside the object's region
         self._points = np.empty((0, 3))  # object's frame: the cloud whose image is the object's region
         self._bounded = bool(boxes)  # boxes bound the object; without them its cloud grows with what is found on it
@@ -137,7 +167,8 @@ class Tracker:
             self._center, points = volume_from_boxes(rig, boxes)
             self._points = points - self._center
             self._radius = float(np.quantile(np.linalg.norm(self._points, axis=1), 0.95))
-        self._pool = ThreadPoolExecutor(workers or min(len(rig), os.cpu_count() or 1))
+        self._workers = workers or min(len(rig), os.cpu_count() or 1)
+        self._pool = ThreadPoolExecutor(self._workers)
 
     def __enter__(self) -> Tracker:
         return self
@@ -149,6 +180,14 @@ class Tracker:
         """End the worker threads."""
         self._pool.shutdown()
 
+    def __getstate__(self) -> dict[str, object]:
+        """All that the next frames depend on, for a checkpoint; the threads are begun anew."""
+        return {name: value for name, value in self.__dict__.items() if name != "_pool"}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__dict__.update(state)
+        self._pool = ThreadPoolExecutor(self._workers)
+
     def step(self, frames: FrameSet) -> list[TrackedFrame]:
         """Take in the next frame.
 
@@ -156,10 +195,8 @@ class Tracker:
             The frames that are now decided, in order: usually this one; none while the object has not moved yet and no
             boxes tell where it is, then those that waited for it and this one.
         """
-        if self._solved:
-            regions = self._regions(self._predict(frames.index), min(REGION_GROWTH * (1 + self._lost), MAX_GROWTH))
-            features = self._detect(frames, self._masks(regions))
-            return [self._follow(self._reference(frames.index, features), frames, regions)]
+        if self._keyframes:
+            return [self._next(frames)]
         if self._center is not None:
             regions = self._regions(RigidTransform.from_translation(self._center), REGION_GROWTH)
             inside = self._masks(regions)
@@ -168,12 +205,10 @@ class Tracker:
                 return [self._unsolved(frames, Status.TOO_FEW_MATCHES, regions)]
             surroundings = self._detect(frames, [~mask for mask in inside])
             return [self._first(frames, features, surroundings, self._center, regions)]
-        whole = [np.ones(camera.size[::-1], bool) for camera in self.rig]
-        features = self._detect(frames, whole, START_FEATURES)
+        features = self._detect(frames, self._everywhere(), START_FEATURES)
         if not self._waiting and sum(map(len, features)) < MIN_MATCHES:
             return [self._unsolved(frames, Status.TOO_FEW_MATCHES)]  # later ones need something to be compared with
-        nothing = tuple(np.zeros(len(f), bool) for f in features)
-        return self._await_motion(Reference(frames.index, features, nothing), frames)
+        return self._await_motion(self._reference(frames, features), frames)
 
     def flush(self) -> list[TrackedFrame]:
         """The frames still undecided at the recording's end: the object never moved."""
@@ -196,6 +231,9 @@ class Tracker:
     def _masks(self, regions: Regions) -> list[BoolArray]:
         return [polygon_mask(region, camera.size) for camera, region in zip(self.rig, regions, strict=True)]
 
+    def _everywhere(self) -> list[BoolArray]:
+        return [np.ones(camera.size[::-1], bool) for camera in self.rig]
+
     def _split(self, features: Sequence[Features], regions: Regions) -> tuple[list[Features], list[Features]]:
         """The features inside the regions and those outside."""
         masks = zip(features, self._masks(regions), strict=True)
@@ -203,16 +241,13 @@ class Tracker:
         pairs = list(zip(features, inside, strict=True))
         return [f.subset(mask) for f, mask in pairs], [f.subset(~mask) for f, mask in pairs]
 
-    def _reference(self, index: int, features: Sequence[Features]) -> Reference:
+    def _reference(self, frames: FrameSet, features: Sequence[Features]) -> Reference:
         """A frame to be solved; what the first frame has at the same place around the object is background."""
-        return Reference(index, tuple(features), tuple(map(seen_before, features, self._surroundings)))
-
-    def _predict(self, index: int) -> RigidTransform:
-        """The pose that constant velocity gives; the last pose once the object has been lost."""
-        last = self._solved[-1]
-        if self._lost:
-            return last.world_from_object
-        return _power(self._velocity, index - last.index) * last.world_from_object
+        known = tuple(map(seen_before, features, self._surroundings))
+        own = [frames.time if time is None else time for time in frames.times]
+        offsets = [self._offsets.get(name, 0.0) for name in self.rig.names]
+        late = np.array(own) - frames.time + offsets
+        return Reference(frames.index, frames.time, tuple(features), known, late=late)
 
     def _regions(self, world_from_object: RigidTransform, growth: float) -> list[FloatArray | None]:
         """Where to look in each camera: the image of the object's points at a pose, with a margin."""
@@ -231,18 +266,21 @@ class Tracker:
     ) -> TrackedFrame:
         """The frame whose pose defines the object's frame. The features around the object are remembered: what is later
         seen at the same place is background."""
+        first = self._reference(frames, features)
         self._surroundings = list(surroundings)
-        first = Reference.new(frames.index, tuple(features), RigidTransform.from_translation(center))
+        first.world_from_object = RigidTransform.from_translation(center)
+        first.viewpoints = viewpoints(self.rig, first.world_from_object)
         # One camera sees a turn and its mirror image alike, with hollow for round: an object is taken to be round.
-        self._learn(first, [], bulge=0.5 if self._bounded and len(self.rig) == 1 else 0.0)
-        self._solved.append(first)
+        self._learn(first, [], self.rig, bulge=0.5 if self._bounded and len(self.rig) == 1 else 0.0)
+        self._last = first
+        self._keyframes.append(first)
         return self._result(first, frames, Status.FIRST, regions)
 
     def _await_motion(self, current: Reference, frames: FrameSet) -> list[TrackedFrame]:
         """Without boxes: compare with the oldest waiting frame until something moves; that is the object."""
         if self._waiting:
             first, _ = self._waiting[0]
-            fit, center, inliers = first_motion(self.rig, self._match([first], current), first, self._rng())
+            fit, center, inliers = first_motion(self.rig, self._match_first(first, current), first, self._rng())
             if fit.status is Status.OK:
                 return self._begin(current, frames, inliers, motion_about(center, fit))
         self._waiting.append((current, frames))
@@ -250,6 +288,10 @@ class Tracker:
             return []
         _, oldest = self._waiting.pop(0)
         return [self._unsolved(oldest, Status.NO_MOTION)]
+
+    def _match_first(self, first: Reference, current: Reference) -> list[Pair]:
+        pairs = self._pool.map(lambda c: match_pair(first, current, c), range(len(self.rig)))
+        return [pair for pair in pairs if len(pair)]
 
     def _begin(
         self, current: Reference, frames: FrameSet, inliers: Sequence[Pair], motion: RigidTransform
@@ -266,39 +308,132 @@ class Tracker:
         decided = [self._first(first_frames, features, surroundings, self._center, regions)]
         for waited, its in [*others, (current, frames)]:
             # They were searched everywhere: what was at rest with the object would seem to belong to it.
-            pose = current.world_from_object if waited is current else self._predict(waited.index)
+            pose = current.world_from_object if waited is current else self._predict(its.time)
             regions = self._regions(pose, REGION_GROWTH)
             features, _ = self._split(waited.features, regions)
-            decided.append(self._follow(self._reference(waited.index, features), its, regions))
+            again = self._reference(its, features)
+            found = self._solve_from(again, pose)
+            decided.append(
+                self._missing(its, pose, regions) if found is None else self._accept(again, its, regions, found)
+            )
         return decided
 
     # --- every other frame -------------------------------------------------------------------------------------------
 
-    def _follow(self, current: Reference, frames: FrameSet, regions: Regions) -> TrackedFrame:
-        """Solve the frame against its references, and learn from it what the next one needs."""
-        last = len(self._solved)
-        references = [self._solved[i] for i in sorted({max(last - lag, 0) for lag in LAGS}, reverse=True)]
-        base = references[0]
-        pairs = self._match(references, current)
+    def _next(self, frames: FrameSet) -> TrackedFrame:
+        """Where it should be; else anywhere; else it is taken to go on as it did, for a while."""
+        ahead = self._predict(frames.time)
+        regions: Regions = [None] * len(self.rig)
+        if not self._lost:
+            regions = self._regions(ahead, min(REGION_GROWTH * (1 + self._missed), MAX_GROWTH))
+            current = self._reference(frames, self._detect(frames, self._masks(regions)))
+            found = self._solve_from(current, ahead)
+            if found is not None:
+                return self._accept(current, frames, regions, found)
+        current = self._reference(frames, self._detect(frames, self._everywhere()))
+        pose = relocalise(self.rig, self._keyframes, current, self._last, self._radius, self._pool)
+        if pose is not None:
+            found = self._solve_from(current, pose)
+            if found is not None:
+                return self._accept(current, frames, self._regions(pose, REGION_GROWTH), found)
+        return self._missing(frames, ahead, regions)
+
+    def _predict(self, time: float) -> RigidTransform:
+        """The pose that constant velocity gives; the last pose once the object is lost."""
+        last = self._last.world_from_object
+        return last if self._lost else _exp(self._twist * (time - self._last.time)) * last
+
+    def _rig_at(self, frame: Reference, twist: FloatArray) -> Rig:
+        """The rig as it would have to stand to see at the frame's time what its cameras saw each at its own instant."""
+        if not frame.late.any() or not twist.any():
+            return self.rig
+        # A speed that changes from frame to frame by as much as it is says little about an instant in between.
+        square, change = (np.repeat(v.reshape(2, 3).sum(axis=1), 3) for v in (twist**2, self._unsteady))
+        twist = twist * square / np.maximum(square + change, 1e-300)
+        cameras = [
+            replace(camera, camera_from_world=camera.camera_from_world * _exp(twist * late))
+            for camera, late in zip(self.rig, frame.late, strict=True)
+        ]
+        return Rig(cameras, self.rig.unit)
+
+    def _solve_from(self, current: Reference, guess: RigidTransform) -> _Found | None:
+        """The frame's pose, from a guess; None if it cannot be found from there."""
+        base = self._last
+        pairs = self._match(current, guess)
         if self._guessed:
-            self._learn_depth(references[-1], current, pairs)
+            self._learn_depth(self._keyframes[0], current, pairs)
         center = base.world_from_object.translation
-        guess = self._predict(current.index) * base.world_from_object.inv()
-        hypothesis = (guess.rotation.as_matrix(), guess.apply(center) - center)
-        fit = self._solve(self.rig, pairs, current, base, self._radius, hypothesis, self._rng())
-        if not fit.status.has_pose:
-            self._lost += 1
-            return self._unsolved(frames, fit.status, regions)
-        motion = motion_about(center, fit)
-        current.world_from_object = motion * base.world_from_object
+        twist = self._twist
+        for _ in range(SPEED_ROUNDS):
+            rig = self._rig_at(current, twist)
+            motion = guess * base.world_from_object.inv()
+            hypothesis = (motion.rotation.as_matrix(), motion.apply(center) - center)
+            fit = self._solve(rig, pairs, current, base, self._radius, hypothesis, self._rng())
+            if not fit.status.has_pose:
+                return None
+            motion = motion_about(center, fit)
+            guess = motion * base.world_from_object
+            if not current.late.any():
+                break
+            # The cameras' instants were accounted for with the speed of the frame before; now this frame's is known, and
+            # after the first motion also the first frame's.
+            twist = motion.as_exp_coords() / max(current.time - base.time, 1e-9)
+            if len(self._keyframes) == 1 and base is self._keyframes[0]:
+                self._learn(base, [], self._rig_at(base, twist))
+        return _Found(rig, pairs, fit, motion)
+
+    def _accept(self, current: Reference, frames: FrameSet, regions: Regions, found: _Found) -> TrackedFrame:
+        """Take a frame as solved, and learn from it what the next ones need."""
+        base, fit, pairs = self._last, found.fit, found.pairs
+        current.world_from_object = found.motion * base.world_from_object
+        current.viewpoints = viewpoints(self.rig, current.world_from_object)
         stood = fit.status is Status.NO_MOTION  # the pose is the base's, and so is its error
         current.covariance = base.covariance if stood else self._covariance(fit, pairs, current)
         learn_background(pairs, self.rig, current, self._radius)
-        self._learn(current, inliers_of(pairs, fit.weights))
-        self._velocity = _power(motion, 1.0 / max(current.index - base.index, 1))
-        self._lost = 0
-        self._solved.append(current)
-        return self._result(current, frames, fit.status, regions, pairs, fit, base)
+        inliers = inliers_of(pairs, fit.weights)
+        ages = [pair.reference.landmarks[pair.camera].seen[pair.indices[:, 0]] for pair in inliers]
+        current.age = usual_age(np.concatenate(ages))
+        self._learn(current, inliers, found.rig)
+        twist = found.motion.as_exp_coords() / max(current.time - base.time, 1e-9)
+        if not self._missed:
+            self._unsteady += 0.2 * ((twist - self._twist) ** 2 - self._unsteady)
+        self._twist = np.zeros(6) if self._lost else twist
+        status = Status.RELOCALISED if self._missed else Status.TRACKED
+        self._missed, self._lost = 0, False
+        self._last = current
+        add_keyframe(self._keyframes, current)
+        return self._result(current, frames, status, regions, pairs, fit, base)
+
+    def _missing(self, frames: FrameSet, ahead: RigidTransform, regions: Regions) -> TrackedFrame:
+        """A frame in which the object was not found: it is taken to have gone on as before, until that says nothing."""
+        self._missed += 1
+        elapsed = frames.time - self._last.time
+        covariance = self._last.covariance + np.diag(self._unsteady) * self._missed * elapsed**2
+        sd = np.sqrt(np.diag(covariance))
+        certain = sd[:3].max() < COASTING_TURN and sd[3:].max() < COASTING_SHIFT * self._radius
+        self._lost = self._lost or self._missed > MAX_COASTING or not certain
+        if self._lost:
+            return self._unsolved(frames, Status.LOST, regions)
+        n = len(self.rig)
+        nothing = np.zeros(n, np.int64), np.full(n, np.nan)
+        pose = FramePose(frames.index, frames.time, Status.COASTING, ahead, covariance, *nothing)
+        return TrackedFrame(pose, frames, (None,) * n, tuple(regions), self._radius)
+
+    def _match(self, current: Reference, guess: RigidTransform) -> list[Pair]:
+        """Matches with the last solved frame and with keyframes that show the object from about the same side."""
+        here = viewpoints(self.rig, guess)
+
+        def run(c: int) -> list[Pair]:
+            references = [self._last, *references_of(self._keyframes, c, here[c], self._last)]
+            # In order: each reference passes on what it knows of the background, and the next one uses it.
+            return [match_pair(reference, current, c) for reference in references]
+
+        of_cameras = self._pool.map(run, range(len(self.rig)))
+        return [pair for of_camera in of_cameras for pair in of_camera if len(pair)]
+
+    def _rng(self) -> np.random.Generator:
+        """The same outlier rejection for the same frame, whatever came before."""
+        return np.random.default_rng(self._seed)
 
     def _learn_depth(self, first: Reference, current: Reference, pairs: Sequence[Pair]) -> None:
         """What the boxes allow is much deeper than the object. Epipolar geometry needs no depth: once it finds a motion,
@@ -313,20 +448,8 @@ class Tracker:
             return
         self._guessed = False
         _, self._radius = object_place([pair.term(self.rig, first) for pair in inliers])
-        for reference in self._solved:
-            self._learn(reference, [], points)
-
-    def _match(self, references: Sequence[Reference], current: Reference) -> list[Pair]:
-        def run(c: int) -> list[Pair]:
-            # In order: each reference passes on what it knows of the background, and the next one uses it.
-            return [match_pair(reference, current, c) for reference in references]
-
-        of_cameras = list(self._pool.map(run, range(len(self.rig))))
-        return [pair for of_reference in zip(*of_cameras, strict=True) for pair in of_reference if len(pair)]
-
-    def _rng(self) -> np.random.Generator:
-        """The same outlier rejection for the same frame, whatever came before."""
-        return np.random.default_rng(self._seed)
+        for reference in {id(r): r for r in (*self._keyframes, self._last)}.values():
+            self._learn(reference, [], self.rig, points)
 
     def _covariance(self, fit: Fit, pairs: Sequence[Pair], current: Reference) -> FloatArray:
         """The fit's covariance plus the references' own.
@@ -346,19 +469,34 @@ class Tracker:
         return covariance_of(fit.information + np.diag(bound)) + inherited
 
     def _learn(
-        self, current: Reference, inliers: Sequence[Pair], surface: FloatArray | None = None, bulge: float = 0.0
+        self,
+        current: Reference,
+        inliers: Sequence[Pair],
+        rig: Rig,
+        surface: FloatArray | None = None,
+        bulge: float = 0.0,
     ) -> None:
         """The landmarks of a solved frame, and what they add to the object's cloud of points."""
         landmarks = []
-        for c, camera in enumerate(self.rig):
+        for c, camera in enumerate(rig):
             index, known = best_landmarks(inliers, c)
             good = known.mean[known.depth_sd < 0.1 * self._radius]
             cloud = good if len(good) >= 20 else self._points if surface is None else surface
             features, pose = current.features[c], current.world_from_object
-            landmarks.append(learn_landmarks(features, camera, pose, known, index, cloud, self._radius, bulge))
+            first_id = self._n_landmarks
+            landmarks.append(
+                learn_landmarks(features, camera, pose, known, index, cloud, self._radius, bulge, first_id)
+            )
+            self._n_landmarks += len(features)
+            if current.landmarks:  # they are learnt anew, and stay themselves
+                landmarks[c].id[:] = current.landmarks[c].id
             if not self._bounded:
                 self._add_points(good)
         current.landmarks = tuple(landmarks)
+        # The same landmarks as the references know them: keyframes are matched again, and should know what is known by then.
+        for pair in inliers:
+            before, now = pair.reference.landmarks[pair.camera], landmarks[pair.camera]
+            before.update(pair.indices[:, 0], now.subset(pair.indices[:, 1]))
 
     def _add_points(self, points: FloatArray) -> None:
         points = np.concatenate([self._points, points[np.linalg.norm(points, axis=1) < 2.0 * self._radius]])
@@ -398,7 +536,12 @@ class Tracker:
             np.array([len(u) for u in used], np.int64),
             np.array([np.sqrt(s.mean()) if len(s) else np.nan for s in squares]),
         )
-        return TrackedFrame(pose, frames, tuple(shown), tuple(regions), self._radius)
+        # What was used, and what was seen for the first time.
+        sightings = []
+        for features, landmarks, u in zip(current.features, current.landmarks, used, strict=True):
+            index = np.union1d(np.array([*u], np.int64), np.flatnonzero(landmarks.seen == 1))
+            sightings.append(Sightings(landmarks.id[index], features.normalized[index], landmarks.mean[index]))
+        return TrackedFrame(pose, frames, tuple(shown), tuple(regions), self._radius, tuple(sightings), current.late)
 
     def _unsolved(self, frames: FrameSet, status: Status, regions: Regions | None = None) -> TrackedFrame:
         n = len(self.rig)
@@ -407,6 +550,16 @@ class Tracker:
         return TrackedFrame(pose, frames, (None,) * n, tuple(regions or [None] * n), self._radius)
 
 
-def _power(motion: RigidTransform, exponent: float) -> RigidTransform:
-    """The motion carried on for a fraction or a multiple of its time, along its screw."""
-    return RigidTransform.from_exp_coords(exponent * motion.as_exp_coords())
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A frame's motion since the last one, the matches it was found from, and the rig as it stood for this frame."""
+
+    rig: Rig
+    pairs: list[Pair]
+    fit: Fit
+    motion: RigidTransform
+
+
+def _exp(twist: FloatArray) -> RigidTransform:
+    """The motion along a screw, from its exponential coordinates (6,)."""
+    return RigidTransform.from_exp_coords(twist)

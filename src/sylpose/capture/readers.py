@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Protocol
@@ -25,10 +25,10 @@ CLOCK_JUMP = 3.5
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What one camera gives at one instant; `ended` when it will not give anything any more."""
+    """What one camera gives at one instant, masks by object; `ended` when it will not give anything any more."""
 
     image: NDArray[np.uint8] | None
-    mask: NDArray[np.bool_] | None
+    masks: dict[str, NDArray[np.bool_] | None]
     problems: tuple[str, ...]
     ended: bool
 
@@ -56,26 +56,26 @@ def check_readable(source: Source) -> None:
 
 
 class CameraReader:
-    """The frames and masks of one camera, for increasing frame numbers."""
+    """The frames and masks of one camera, for increasing frame numbers; `masks` by object."""
 
-    def __init__(self, source: Source, masks: Masks) -> None:
+    def __init__(self, source: Source, masks: Mapping[str, Masks]) -> None:
         self._source, self._masks = source, masks
         self._reader: _Reader = _VideoReader(source) if source.kind == "video" else _ImageReader(source)
 
     def read(self, k: int) -> Reading:
-        """Frame k and its mask; a negative k reads nothing."""
+        """Frame k and its masks; a negative k reads nothing."""
         image = self._reader.read(k) if k >= 0 else None
-        mask = self._mask(k) if image is not None else None
+        read = {name: None if image is None else self._mask(masks, k) for name, masks in self._masks.items()}
         problems, self._reader.problems = tuple(self._reader.problems), []
-        return Reading(image, mask, problems, self._reader.ended)
+        return Reading(image, read, problems, self._reader.ended)
 
     def close(self) -> None:
         self._reader.close()
 
-    def _mask(self, k: int) -> NDArray[np.bool_] | None:
-        file = self._masks.files.get(self._source.frame_number(k))
+    def _mask(self, masks: Masks, k: int) -> NDArray[np.bool_] | None:
+        file = masks.files.get(self._source.frame_number(k))
         if file is None:
-            return self._masks.static
+            return masks.static
         try:
             return read_mask(file, self._source.size)
         except (ValueError, OSError) as error:

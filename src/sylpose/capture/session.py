@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import warnings as python_warnings
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sylpose import calibration as calibrations
 from sylpose.capture.readers import CameraReader, Reading, check_readable
-from sylpose.capture.regions import Box, Masks, check_first_masks, find_masks, load_boxes
+from sylpose.capture.regions import Box, Masks, check_first_masks, find_masks, load_boxes, object_names
 from sylpose.capture.sources import Source, find_sources
 from sylpose.capture.timeline import Timeline, build_timeline, load_timestamps
 from sylpose.rig import Rig
@@ -25,14 +25,15 @@ __all__ = ["FrameSet", "Session", "open_session"]
 
 @dataclass(frozen=True, eq=False)
 class FrameSet:
-    """The images of all cameras at one instant; tuples are in the rig's order.
+    """The images of all cameras at one instant, and the masks of one object or of several; tuples are in the rig's order.
 
     Attributes:
         index: the instant's number in the session.
         time: seconds: the mean of the cameras' time stamps, else index / rate, else the index itself.
         times: each camera's own time stamp, seconds; None without one.
         images: BGR (h, w, 3) as recorded; None for a camera that has no frame at this instant.
-        masks: (h, w), True on the object; None without a mask or an image.
+        masks: (h, w), True on the object, or on any of several; None without an image or the mask of one of them.
+        object_masks: the same by object, where there are several with masks; see `of`.
     """
 
     index: int
@@ -40,18 +41,31 @@ class FrameSet:
     times: tuple[float | None, ...]
     images: tuple[NDArray[np.uint8] | None, ...]
     masks: tuple[NDArray[np.bool_] | None, ...]
+    object_masks: Mapping[str, tuple[NDArray[np.bool_] | None, ...]] = field(default_factory=dict)
+
+    def of(self, name: str) -> FrameSet:
+        """These images with the masks of one object; this frame set itself where masks are not given by object.
+
+        Raises:
+            ValueError: masks are given of several objects, and this is none of them.
+        """
+        if not self.object_masks:
+            return self
+        if name not in self.object_masks:
+            raise ValueError(f"no object {name!r} in the frame set ({', '.join(self.object_masks)})")
+        return replace(self, masks=self.object_masks[name], object_masks={})
 
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A recording: a rig, and one video or image folder per camera.
+    """A recording of one object or several: a rig, and one video or image folder per camera.
 
     Attributes:
         path: the session's folder.
         rig: the calibrated cameras.
         calibration: the file that the rig was read from.
         sources: one per camera, in the rig's order.
-        boxes: the object's box in the first frame, by camera; not every camera has one.
+        objects: the objects' names; "object" for one that has none. All of them have boxes or none, and masks or none.
         masks: the folder of masks, or None.
         timeline: which frame each camera shows at each instant, and when.
         warnings: sentences about what looks wrong but can be worked with.
@@ -61,11 +75,37 @@ class Session:
     rig: Rig
     calibration: Path
     sources: tuple[Source, ...]
-    boxes: dict[str, Box]
+    objects: tuple[str, ...]
     masks: Path | None
     timeline: Timeline
     warnings: tuple[str, ...]
-    _masks: tuple[Masks, ...] = field(repr=False)
+    _boxes: dict[str, dict[str, Box]] = field(repr=False)
+    _masks: dict[str, tuple[Masks, ...]] = field(repr=False)
+
+    @property
+    def boxes(self) -> dict[str, Box]:
+        """The object's box in the first frame, by camera; not every camera has one.
+
+        Raises:
+            ValueError: the session has several objects: see `of`.
+        """
+        if len(self.objects) > 1:
+            raise ValueError(
+                f"{self.path}: several objects ({', '.join(self.objects)}): take the boxes of one at a time"
+            )
+        return self._boxes.get(self.objects[0], {})
+
+    def of(self, name: str) -> Session:
+        """The same recording of one object only, with its boxes and masks.
+
+        Raises:
+            ValueError: no such object.
+        """
+        if name not in self.objects:
+            raise ValueError(f"{self.path}: no object {name!r} in the session ({', '.join(self.objects)})")
+        boxes = {name: self._boxes[name]} if name in self._boxes else {}
+        masks = {name: self._masks[name]} if name in self._masks else {}
+        return replace(self, objects=(name,), _boxes=boxes, _masks=masks)
 
     @property
     def n_frames(self) -> int:
@@ -111,8 +151,8 @@ class Session:
     def _read(self, instants: range, on_problem: Callable[[str], None]) -> Generator[FrameSet, None, None]:
         with ExitStack() as stack:
             readers = [
-                stack.enter_context(closing(CameraReader(source, masks)))
-                for source, masks in zip(self.sources, self._masks, strict=True)
+                stack.enter_context(closing(CameraReader(source, {name: m[c] for name, m in self._masks.items()})))
+                for c, source in enumerate(self.sources)
             ]
             pool = stack.enter_context(ThreadPoolExecutor(len(readers), thread_name_prefix="sylpose-capture"))
 
@@ -135,12 +175,14 @@ class Session:
                 yield self._frame_set(i, readings)
 
     def _frame_set(self, i: int, readings: list[Reading]) -> FrameSet:
+        masks = {name: tuple(reading.masks[name] for reading in readings) for name in self._masks}
         return FrameSet(
             i,
             float(self.timeline.times[i]),
             tuple(None if np.isnan(stamp) else float(stamp) for stamp in self.timeline.stamps[i]),
             tuple(reading.image for reading in readings),
-            tuple(reading.mask for reading in readings),
+            tuple(_any_of([m[c] for m in masks.values()]) for c in range(len(readings))),
+            masks if len(masks) > 1 else {},
         )
 
 
@@ -189,21 +231,30 @@ def open_session(
     stamps_file = path / "timestamps.csv"
     stamps = load_timestamps(stamps_file, rig.names) if stamps_file.is_file() else None
     timeline, timeline_warnings = build_timeline(sources, stamps, offsets)
-    camera_masks, mask_warnings = (
-        (tuple(Masks() for _ in rig), []) if masks is None else find_masks(masks, rig, sources)
-    )
-    check_first_masks(camera_masks, sources, timeline.frames)
+    by_object, mask_warnings = ({}, []) if masks is None else find_masks(masks, rig, sources)
+    for camera_masks in by_object.values():
+        check_first_masks(camera_masks, sources, timeline.frames)
+    object_boxes = {} if boxes is None else load_boxes(boxes, rig)
     return Session(
         path=path,
         rig=rig,
         calibration=calibration,
         sources=sources,
-        boxes={} if boxes is None else load_boxes(boxes, rig),
+        objects=object_names(object_boxes, by_object, boxes, masks),
         masks=masks,
         timeline=timeline,
         warnings=(*warnings, *timeline_warnings, *mask_warnings),
-        _masks=camera_masks,
+        _boxes=object_boxes,
+        _masks=by_object,
     )
+
+
+def _any_of(masks: Sequence[NDArray[np.bool_] | None]) -> NDArray[np.bool_] | None:
+    """Where any of the objects is, from a mask each; None unless all are known, one of one object as it is."""
+    known = [mask for mask in masks if mask is not None]
+    if not known or len(known) < len(masks):
+        return None
+    return known[0] if len(known) == 1 else np.logical_or.reduce(known)
 
 
 def _warn(problem: str) -> None:

@@ -57,8 +57,8 @@ class TrajectoryWriter:
     A context manager. Files of these names in `out_dir` are replaced. Each line goes to the operating system whole and at
     once. The quaternion's sign is the one nearer to the frame before.
 
-    `trajectory.tum` has the frames with a pose: `time tx ty tz qx qy qz qw`, world_from_object. `trajectory.csv` has all
-    frames: also status, the calibration's length unit, pan, tilt, roll in degrees, the standard deviations (rotation about
+    `trajectory.tum` has the frames in which the object was found: `time tx ty tz qx qy qz qw`, world_from_object.
+    `trajectory.csv` has all frames: also status, the calibration's length unit, pan, tilt, roll in degrees, the standard deviations (rotation about
     the world's x, y, z in degrees, then position), and per camera `inliers_NAME` and `residual_px_NAME`. A cell is empty
     where there is no value; for a standard deviation that means unbounded.
 
@@ -128,7 +128,7 @@ class TrajectoryWriter:
         cells += [str(int(count)) for count in pose.inliers] + [_cell(v, 6) for v in pose.residuals]
         # The richer file first: with an interrupt in between, the frame is in the file that has everything.
         self._put(self._csv, self.csv_path, _csv_line(cells))
-        if pose.world_from_object is not None:
+        if pose.measured:
             self._put(self._tum, self.tum_path, _tum_line(pose.time, pose.position, quaternion))
 
     @staticmethod
