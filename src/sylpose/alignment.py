@@ -9,31 +9,39 @@ across its epipolar line, one that is well known constrains both ways as in solv
 between. There is no identity trap and no degenerate object. V is held fixed within an iteration (quasi-likelihood):
 letting the cost trade V against the residuals is biased towards too much motion (docs/method.md, "Better than two
 frames").
+
+Three things keep many matches from being believed too much. Neighbours' depths are off alike, so along their lines only a
+few of a camera's matches count as independent. Each camera has its own noise σ. And a camera that disagrees with the
+others, as one does that was moved or calibrated badly, is believed the less the more it disagrees: by the chi-squared of
+its pose against theirs, a smooth function without a cliff. Should they disagree, each camera is left out once, and of the
+poses so found the one is taken that all cameras but one agree on best.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from sylpose.robust import bisquare, robust_sigma
+from sylpose.align_kernels import CUTOFF, Stacked, iterate, linearise
 
 __all__ = ["Aligned", "Sights", "align"]
 
 FloatArray = NDArray[np.float64]
 
-# Cutoff of the bisquare weights, in standard deviations: 95 % efficient for Gaussian noise.
-CUTOFF = 4.7
 # Noise that the first, forgiving rounds assume, pixels: from a bad prediction to a keypoint's own noise.
 SCHEDULE_PX = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
-# Rounds in which the noise level follows the residuals; then it is held, and the rest converges.
-SIGMA_ROUNDS = 5
-MAX_ROUNDS = 40
-SIGMA_FLOOR_PX, SIGMA_CEILING_PX = 0.2, 1.5
+# Cameras disagree when one of them is doubted by this factor, has this many times the rig's noise, or this much less of its
+# matches agree than of another's.
+DOUBTED, NOISY, FEWER = 3.0, 2.0, 0.6
+# Poses are compared by the robust cost at this noise, pixels; another one than the first has to be better by a margin.
+VOTE_PX, VOTE_MARGIN = 0.5, 0.01
+# A camera with fewer matches has no opinion of its own.
+MIN_VOTES = 3
+# Doubt in a camera that was left out, when it is heard again.
+LEFT_OUT = 1e4
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +81,12 @@ class Aligned:
         weights: per camera (n,), 0 for outliers.
         residuals: per camera (n,) pixels, across the direction that unknown depth leaves open: the epipolar distance.
         cost: robust, mean over the matches by trust, between 0 and 1: comparable between starts.
-        converged: whether the last step was negligible.
+        converged: whether the last step was negligible and three matches at least agree.
         iterations: of Gauss-Newton.
+        sigma_px: (C,) each camera's noise.
+        doubt: (C,) 1, or more for cameras that disagree with the others: what they say has so many times the variance that
+            their matches give it.
+        surface: (C, 3) a.
     """
 
     rotation: FloatArray
@@ -85,6 +97,9 @@ class Aligned:
     cost: float
     converged: bool
     iterations: int
+    sigma_px: FloatArray = field(default_factory=lambda: np.empty(0))
+    doubt: FloatArray = field(default_factory=lambda: np.empty(0))
+    surface: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = 32.0) -> Aligned:
@@ -93,147 +108,122 @@ def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, fir
     Args:
         rotation: (3, 3) and shift: (3,), the start.
         first_px: noise that the first round assumes; the start should be right within a few times that.
+
+    Raises:
+        ValueError: no cameras.
     """
-    schedule = [s for s in SCHEDULE_PX if s <= first_px]
-    sigma = np.full(len(sights), schedule[0])
-    surface = np.zeros((len(sights), 3))
-    basis = [_basis(sight) for sight in sights]
-    trusted = np.ones(len(sights), dtype=bool)
-    previous = np.zeros(6)
-    converged = False
-    iteration = 0
-    for iteration in range(MAX_ROUNDS):
-        final = iteration >= len(schedule)
-        if not final:
-            sigma[:] = schedule[iteration]
-        hessian, gradient = np.zeros((6, 6)), np.zeros(6)
-        blocks = []
-        for c, sight in enumerate(sights):
-            e, jac, inverse = _linearise(sight, basis[c], surface[c], rotation, shift, sigma[c])
-            w = _weights(sight, np.sqrt(np.einsum("ni,nij,nj->n", e, inverse, e)))
-            if final and iteration < len(schedule) + SIGMA_ROUNDS:
-                across = _across(e, inverse, sight.focal)
-                noise = robust_sigma(across[w > 0], SIGMA_FLOOR_PX)
-                trusted[c] = noise < SIGMA_CEILING_PX
-                sigma[c] = min(noise, SIGMA_CEILING_PX)
-            if not trusted[c] and trusted.any():
-                w = np.zeros_like(w)
-            h, b = _normal_equations(e, jac, inverse * w[:, None, None])
-            h[6:, 6:] += np.eye(3)
-            b[6:] += surface[c]
-            # The surface's three unknowns are this camera's alone: they are eliminated here.
-            gain = np.linalg.solve(h[6:, 6:], h[6:, :6])
-            hessian += h[:6, :6] - h[:6, 6:] @ gain
-            gradient += b[:6] - gain.T @ b[6:]
-            blocks.append((h, b))
-        damping = 1e-9 * np.diag(np.diag(hessian)) + 1e-300 * np.eye(6)
-        step = -np.asarray(np.linalg.lstsq(hessian + damping, gradient, rcond=None)[0], dtype=float)
-        size = float(step @ hessian @ step)
-        if final:
-            # Re-weighting converges linearly; Aitken's extrapolation of its steps makes that a few rounds.
-            ratio = float(step @ hessian @ previous) / max(float(previous @ hessian @ previous), 1e-300)
-            previous = step.copy()
-            if iteration >= len(schedule) + SIGMA_ROUNDS and iteration % 3 == 2:
-                step /= 1.0 - np.clip(ratio, -1.0, 0.85)
-        step /= max(1.0, float(np.linalg.norm(step[:3])) / 0.5)
-        for c, (h, b) in enumerate(blocks):
-            surface[c] -= np.linalg.solve(h[6:, 6:], b[6:] + h[6:, :6] @ step)
-        rotation = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation
-        shift = shift + step[3:]
-        # Converged when the step is a twentieth of its own standard deviation: what is left is not worth a round.
-        if final and iteration >= len(schedule) + SIGMA_ROUNDS and size < 0.05**2:
-            converged = True
-            break
-    return _summary(sights, basis, surface, rotation, shift, sigma, trusted, converged, iteration + 1)
+    if not sights:
+        raise ValueError("alignment needs the sights of one camera at least, got none")
+    stacked = stack(sights)
+    schedule = [s for s in SCHEDULE_PX if s <= first_px] or list(SCHEDULE_PX[-1:])
+    start = np.asarray(rotation, float), np.asarray(shift, float)
+    no_doubt = np.ones(len(sights))
+    joint = _solve(stacked, schedule, *start, no_doubt)
+    voters = [c for c, sight in enumerate(sights) if len(sight.image) >= MIN_VOTES]
+    if len(voters) < 3 or not _disagree(joint, voters):
+        return joint
+    candidates = [joint]
+    for c in voters:
+        without = _solve(stacked, schedule, *start, no_doubt, left_out=c)
+        doubt = np.where(np.arange(len(sights)) == c, LEFT_OUT, 1.0)
+        candidates.append(_solve(stacked, SCHEDULE_PX[-1:], without.rotation, without.shift, doubt))
+    costs = [_vote(stacked, candidate, voters) for candidate in candidates]
+    costs[0] -= VOTE_MARGIN
+    return candidates[int(np.argmin(costs))]
 
 
-def _basis(sight: Sights) -> FloatArray:
+def stack(sights: Sequence[Sights]) -> Stacked:
+    """All cameras' matches after each other."""
+    points, error, image, trust = (
+        np.ascontiguousarray(np.concatenate(part), float)
+        for part in zip(*((s.points, s.depth_error, s.image, s.trust) for s in sights), strict=True)
+    )
+    return Stacked(
+        points=points,
+        depth_error=error,
+        image=image,
+        trust=trust,
+        feature=np.concatenate([s.feature for s in sights]).astype(np.int64),
+        basis=np.concatenate([_basis(s.image) for s in sights]),
+        offsets=np.cumsum([0, *(len(s.image) for s in sights)], dtype=np.int64),
+        rotation=np.array([s.rotation for s in sights], float),
+        center=np.array([s.center for s in sights], float),
+        focal=np.array([s.focal for s in sights], float),
+    )
+
+
+def _basis(image: FloatArray) -> FloatArray:
     """(n, 3): 1, u, v, the place in the image in units of its spread."""
-    if len(sight.image) == 0:
+    if len(image) == 0:
         return np.empty((0, 3))
-    spread = max(float(np.linalg.norm(sight.image.std(axis=0))), 1e-12)
-    return np.column_stack([np.ones(len(sight.image)), (sight.image - np.median(sight.image, axis=0)) / spread])
+    spread = max(float(np.linalg.norm(image.std(axis=0))), 1e-12)
+    return np.column_stack([np.ones(len(image)), (image - np.median(image, axis=0)) / spread])
 
 
-def _normal_equations(e: FloatArray, jac: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """J'WJ (9, 9) and J'We (9,)."""
-    wj = weight @ jac
-    return np.tensordot(jac, wj, axes=([0, 1], [0, 1])), np.einsum("nik,ni->k", wj, e)
-
-
-def _linearise(
-    sight: Sights, basis: FloatArray, surface: FloatArray, rotation: FloatArray, shift: FloatArray, sigma_px: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Residuals (n, 2), their derivatives (n, 2, 9) by (w, d, a), and the inverse of V (n, 2, 2)."""
-    turned = (sight.points + (basis @ surface)[:, None] * sight.depth_error) @ rotation.T
-    p = (turned + shift - sight.center) @ sight.rotation.T
-    behind = p[:, 2] <= 1e-9
-    z = np.where(behind, 1.0, p[:, 2])
-    image = p[:, :2] / z[:, None]
-    by_camera = np.zeros((len(p), 2, 3))
-    by_camera[:, 0, 0] = by_camera[:, 1, 1] = 1.0 / z
-    by_camera[:, :, 2] = -image / z[:, None]
-    by_point = by_camera @ sight.rotation
-    by_turn = np.cross(turned[:, None, :], by_point)
-    by_depth = np.einsum("nij,nj->ni", by_point, sight.depth_error @ rotation.T)
-    # V = σ² I + b b', inverted in closed form: stable also where the depth is unknown.
-    variance = (sigma_px / sight.focal) ** 2
-    outer = by_depth[:, :, None] * by_depth[:, None, :]
-    length = (by_depth**2).sum(axis=1)
-    inverse = (np.eye(2) - outer / (variance + length)[:, None, None]) / variance
-    e = image - sight.image
-    e[behind] = 1e3
-    jac = np.concatenate([by_turn, by_point, by_depth[:, :, None] * basis[:, None, :]], axis=2)
-    return e, jac, inverse
-
-
-def _weights(sight: Sights, distance: FloatArray) -> FloatArray:
-    """(n,) robust weights; matches of one feature share the least of theirs."""
-    w = bisquare(distance, CUTOFF)
-    n = int(sight.feature.max(initial=-1)) + 1
-    least = np.ones(n)
-    np.minimum.at(least, sight.feature, w)
-    shared = least / np.maximum(np.bincount(sight.feature, minlength=n), 1)
-    return np.asarray(shared[sight.feature] * sight.trust)
-
-
-def _across(e: FloatArray, inverse: FloatArray, focal: float) -> FloatArray:
-    """(n,) residuals in pixels along the direction of V's smaller variance, where only image noise is left."""
-    angle = 0.5 * np.arctan2(2.0 * inverse[:, 0, 1], inverse[:, 0, 0] - inverse[:, 1, 1])
-    return np.asarray(focal * (e[:, 0] * np.cos(angle) + e[:, 1] * np.sin(angle)))
-
-
-def _summary(
-    sights: Sequence[Sights],
-    basis: Sequence[FloatArray],
-    surface: FloatArray,
+def _solve(
+    stacked: Stacked,
+    schedule: Sequence[float],
     rotation: FloatArray,
     shift: FloatArray,
-    sigma: FloatArray,
-    trusted: NDArray[np.bool_],
-    converged: bool,
-    count: int,
+    doubt: FloatArray,
+    left_out: int = -1,
 ) -> Aligned:
-    information = np.zeros((6, 6))
-    weights, residuals = [], []
-    cost, total = 0.0, 0.0
-    for c, sight in enumerate(sights):
-        e, jac, inverse = _linearise(sight, basis[c], surface[c], rotation, shift, sigma[c])
-        distance = np.sqrt(np.einsum("ni,nij,nj->n", e, inverse, e))
-        w = _weights(sight, distance) * (trusted[c] or not trusted.any())
-        h, _ = _normal_equations(e, jac, inverse * w[:, None, None])
-        information += h[:6, :6] - h[:6, 6:] @ np.linalg.solve(h[6:, 6:] + np.eye(3), h[6:, :6])
-        weights.append(w)
-        residuals.append(_across(e, inverse, sight.focal))
-        cost += float(sight.trust @ (1.0 - np.maximum(1.0 - (distance / CUTOFF) ** 2, 0.0) ** 3))
-        total += float(sight.trust.sum())
+    n = len(doubt)
+    rotation, shift, doubt = rotation.copy(), shift.copy(), doubt.copy()
+    surface, sigma_px, information = np.zeros((n, 3)), np.empty(n), np.empty((6, 6))
+    weights, across, distance = (np.zeros(len(stacked.trust)) for _ in range(3))
+    count, converged = iterate(
+        stacked,
+        np.array(schedule, float),
+        left_out,
+        rotation,
+        shift,
+        surface,
+        sigma_px,
+        doubt,
+        weights,
+        across,
+        distance,
+        information,
+    )
+    cost = float(stacked.trust @ _cost(distance)) / max(float(stacked.trust.sum()), 1e-12)
+    cuts = stacked.offsets[1:-1]
     return Aligned(
         rotation,
         shift,
         information,
-        tuple(weights),
-        tuple(residuals),
-        cost / max(total, 1e-12),
-        converged,
+        tuple(np.split(weights, cuts)),
+        tuple(np.split(across, cuts)),
+        cost,
+        bool(converged),
         count,
+        sigma_px,
+        doubt,
+        surface,
     )
+
+
+def _cost(distance: FloatArray) -> FloatArray:
+    """(n,) bisquare cost, between 0 and 1."""
+    return np.asarray(1.0 - np.maximum(1.0 - (distance / CUTOFF) ** 2, 0.0) ** 3)
+
+
+def _disagree(joint: Aligned, voters: Sequence[int]) -> bool:
+    shares = [float((joint.weights[c] > 0).mean()) for c in voters]
+    noise = joint.sigma_px[voters]
+    return bool(
+        joint.doubt.max() > DOUBTED or noise.max() > NOISY * np.median(noise) or min(shares) < FEWER * max(shares)
+    )
+
+
+def _vote(stacked: Stacked, candidate: Aligned, voters: Sequence[int]) -> float:
+    """Mean cost of all cameras but the worst: one vote each, however many matches they have."""
+    n = len(stacked.trust)
+    place, distance, across = np.empty((n, 13)), np.empty(n), np.empty(n)
+    costs = []
+    for c in voters:
+        mine = slice(stacked.offsets[c], stacked.offsets[c + 1])
+        pose = candidate.rotation, candidate.shift, candidate.surface[c]
+        linearise(stacked, c, *pose, (VOTE_PX / stacked.focal[c]) ** 2, place, distance, across)
+        costs.append(float(stacked.trust[mine] @ _cost(distance[mine])) / max(float(stacked.trust[mine].sum()), 1e-12))
+    return float(np.mean(sorted(costs)[:-1]))

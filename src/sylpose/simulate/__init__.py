@@ -5,12 +5,14 @@ from sylpose.simulate.demo import DemoTruth, demo_scene, demo_truth, render_sequ
 from sylpose.simulate.render import Actor, Scene, TexturedBody, chamfered_box, render_frames
 from sylpose.simulate.rigs import arc, camera_at, dome, ring
 from sylpose.simulate.scenes import OutlierKind, SimulatedPair, random_motion, simulate_matches
+from sylpose.simulate.sequences import Recording, visible_shares, write_recording
 
 __all__ = [
     "Actor",
     "Body",
     "DemoTruth",
     "OutlierKind",
+    "Recording",
     "Scene",
     "SimulatedPair",
     "TexturedBody",
@@ -29,5 +31,7 @@ __all__ = [
     "render_sequence",
     "ring",
     "simulate_matches",
+    "visible_shares",
+    "write_recording",
     "write_sequence",
 ]

@@ -1,0 +1,212 @@
+"""The peers of the tracking benchmark, on the images that the tracker gets and on perfect masks of the object.
+
+    python benchmarks/tracking_peers.py poselib|pycolmap SESSION OUT.tum [--every N] [--frames N]
+
+poselib: SIFT, and PoseLib's generalised relative pose between adjacent frames, chained.
+pycolmap: SIFT, and COLMAP's incremental mapping with the known rig, offline: the object is the scene, and the rig moves.
+
+Writes world_from_object as TUM text and prints one line of JSON: what was solved and the seconds that it took.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.capture import Session, open_session
+from sylpose.features import Features, detect, match_features
+from sylpose.report.files import read_tum, write_tum
+from sylpose.rig import Camera
+
+__all__ = ["PEERS", "masked_features", "poselib_chain", "pycolmap_mapping"]
+
+FloatArray = NDArray[np.float64]
+# By frame number: world_from_object.
+Poses = dict[int, RigidTransform]
+
+# Of 0.5, 1 and 2 pixels, and of its losses, the best on these images.
+EPIPOLAR_PX = 0.5
+# Fewer matches than that between two images are not given to COLMAP, which would reject them.
+MIN_MATCHES = 15
+
+
+def masked_features(session: Session, every: int, stop: int | None) -> Iterator[tuple[int, list[Features]]]:
+    """Frame number and the features of each camera, inside the object's true outline."""
+    times, poses = read_tum(session.path / "groundtruth.tum")
+    vertices = np.loadtxt(session.path / "vertices.txt")
+    for frames in session.frames(0, stop, every):
+        corners = poses[int(np.argmin(np.abs(times - frames.time)))].apply(vertices)
+        found = []
+        for camera, image in zip(session.rig, frames.images, strict=True):
+            pixels = camera.project(corners)
+            if image is None or not np.isfinite(pixels).all():
+                found.append(Features.none())
+                continue
+            mask = np.zeros(image.shape[:2], np.uint8)
+            cv2.fillConvexPoly(mask, cv2.convexHull(np.rint(pixels).astype(np.int32)), (1,))
+            found.append(detect(image, camera, mask.astype(bool)))
+        yield frames.index, found
+
+
+def pinhole(camera: Camera, features: Features) -> FloatArray:
+    """(n, 2) pixels of the camera without its lens."""
+    return np.asarray(features.normalized * camera.matrix[[0, 1], [0, 1]] + camera.matrix[:2, 2])
+
+
+def poselib_chain(session: Session, every: int, stop: int | None) -> tuple[Poses, dict[str, float]]:
+    """Adjacent frames, chained; a step that fails ends the chain."""
+    import poselib
+
+    cameras, in_rig = [], []
+    for camera in session.rig:
+        (fx, _, cx), (_, fy, cy) = camera.matrix[:2].tolist()
+        cameras.append(poselib.Camera("PINHOLE", [fx, fy, cx, cy], *camera.size))
+        pose = poselib.CameraPose()
+        pose.R, pose.t = camera.rotation, camera.camera_from_world.translation
+        in_rig.append(pose)
+    first = read_tum(session.path / "groundtruth.tum")[1][0]
+    poses: Poses = {}
+    seconds = {"features": 0.0, "solving": 0.0}
+    clock = time.perf_counter()
+    before: list[Features] = []
+    last = first
+    for index, features in masked_features(session, every, stop):
+        seconds["features"] -= clock - (clock := time.perf_counter())
+        if before:
+            matches = []
+            for c, (camera, a, b) in enumerate(zip(session.rig, before, features, strict=True)):
+                i, j = match_features(a, b).T
+                pairs = poselib.PairwiseMatches()
+                pairs.cam_id1 = pairs.cam_id2 = c
+                pairs.x1, pairs.x2 = pinhole(camera, a)[i], pinhole(camera, b)[j]
+                matches.append(pairs)
+            found, info = poselib.estimate_generalized_relative_pose(
+                matches, in_rig, cameras, in_rig, cameras, {"max_epipolar_error": EPIPOLAR_PX}, {}
+            )
+            if not info["num_inliers"] or not np.isfinite([*found.q, *found.t]).all():
+                break
+            last = RigidTransform.from_components(found.t, Rotation.from_matrix(found.R)) * last
+        poses[index] = last
+        before = features
+        seconds["solving"] -= clock - (clock := time.perf_counter())
+    return poses, seconds
+
+
+def pycolmap_mapping(session: Session, every: int, stop: int | None) -> tuple[Poses, dict[str, float]]:
+    """COLMAP's largest model, in the gauge of its first frame."""
+    import pycolmap
+
+    pycolmap.set_random_seed(0)
+    pycolmap.logging.minloglevel = 2
+    rig = session.rig
+    clock = time.perf_counter()
+    found = list(masked_features(session, every, stop))
+    seconds = {"features": time.perf_counter() - clock}
+    clock = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        database = Path(folder) / "database.db"
+        with pycolmap.Database.open(database) as db:
+            configs, images = [], []
+            for c, camera in enumerate(rig):
+                (fx, _, cx), (_, fy, cy) = camera.matrix[:2].tolist()
+                # COLMAP's pixel centres are at half integers: the same shift in points and principal point is none.
+                model = pycolmap.Camera(model="PINHOLE", width=camera.size[0], height=camera.size[1])
+                model.params, model.has_prior_focal_length = [fx, fy, cx, cy], True
+                model.camera_id = db.write_camera(model)
+                config = pycolmap.RigConfigCamera(image_prefix=f"{camera.name}/", ref_sensor=c == 0, camera=model)
+                if c:
+                    config.cam_from_rig = _rigid3d(camera.camera_from_world * rig.cameras[0].camera_from_world.inv())
+                configs.append(config)
+                ids = []
+                for index, features in found:
+                    image = pycolmap.Image(name=f"{camera.name}/{index:05d}.png", camera_id=model.camera_id)
+                    ids.append(db.write_image(image))
+                    keypoints = pinhole(camera, features[c]).astype(np.float32)
+                    db.write_keypoints(ids[-1], keypoints)
+                images.append(ids)
+            pycolmap.apply_rig_config([pycolmap.RigConfig(cameras=configs)], db)
+            pairs = _write_matches(db, images, [features for _, features in found])
+        seconds["matching"] = -(clock - (clock := time.perf_counter()))
+        (Path(folder) / "pairs.txt").write_text("\n".join(pairs) + "\n")
+        pycolmap.verify_matches(database, Path(folder) / "pairs.txt")
+        seconds["verification"] = -(clock - (clock := time.perf_counter()))
+        options = pycolmap.IncrementalPipelineOptions(extract_colors=False, random_seed=0)
+        options.ba_refine_focal_length = options.ba_refine_principal_point = options.ba_refine_extra_params = False
+        options.ba_refine_sensor_from_rig = False
+        models = pycolmap.incremental_mapping(database, folder, folder, options)
+        seconds["mapping"] = -(clock - time.perf_counter())
+    if not models:
+        return {}, seconds
+    largest = max(models.values(), key=lambda m: m.num_reg_frames())
+    # The model's world is the object; the rig's frame is its first camera's.
+    world_from_rig = rig.cameras[0].camera_from_world.inv()
+    poses: Poses = {}
+    for image in largest.images.values():
+        frame = largest.frames[image.frame_id]
+        if frame.has_pose():
+            poses[int(Path(image.name).stem)] = world_from_rig * _transform(frame.rig_from_world)
+    return dict(sorted(poses.items())), seconds
+
+
+def _write_matches(db: Any, images: list[list[int]], found: list[list[Features]]) -> list[str]:
+    """Matches between all frames within each camera; the pairs of images as COLMAP lists them."""
+    pairs = []
+    for c, ids in enumerate(images):
+        names = [db.read_image(image).name for image in ids]
+        for i, j in combinations(range(len(found)), 2):
+            matches = match_features(found[i][c], found[j][c])
+            if len(matches) >= MIN_MATCHES:
+                db.write_matches(ids[i], ids[j], matches.astype(np.uint32))
+                pairs.append(f"{names[i]} {names[j]}")
+    return pairs
+
+
+def _rigid3d(pose: RigidTransform) -> Any:
+    import pycolmap
+
+    return pycolmap.Rigid3d(pose.as_matrix()[:3])
+
+
+def _transform(pose: Any) -> RigidTransform:
+    return RigidTransform.from_components(pose.translation, Rotation.from_matrix(pose.rotation.matrix()))
+
+
+PEERS: dict[str, Callable[[Session, int, int | None], tuple[Poses, dict[str, float]]]] = {
+    "poselib": poselib_chain,
+    "pycolmap": pycolmap_mapping,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("peer", choices=PEERS)
+    parser.add_argument("session", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--frames", type=int, help="stop after these")
+    options = parser.parse_args()
+    session = open_session(options.session)
+    start = time.perf_counter()
+    poses, seconds = PEERS[options.peer](session, options.every, options.frames)
+    if poses:
+        chain = RigidTransform.concatenate(list(poses.values()))
+        write_tum(options.out, session.timeline.times[list(poses)], chain)
+    said = {"solved": len(poses), "frames": len(range(0, options.frames or session.n_frames, options.every))}
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(json.dumps({**said, "seconds": time.perf_counter() - start, "parts": seconds, "peak": peak}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,211 @@
+"""Recordings of scenes written as sessions: several objects, cameras that are not quite synchronised or miss frames."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from sylpose.simulate.demo import FRAME_RATE, demo_truth
+from sylpose.simulate.render import Actor, Scene, render_frames
+from sylpose.simulate.render import Path as Motion
+
+__all__ = ["Recording", "visible_shares", "write_recording"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What is rendered and how it is written.
+
+    Attributes:
+        scene: its first actors are the objects.
+        objects: their names; one alone is just called "object".
+        boxes: whether the objects' boxes in the first frame are written.
+        shown: (frames, C) which frames the cameras recorded; None: all. Time stamps are written where it is given.
+        skew: (C,) seconds by which each camera is exposed late; None: all at once.
+        stamped: whether time stamps tell the skew.
+        repeats: how often the scene's frames follow one another.
+        quality: x264's "crf": the smaller the better.
+    """
+
+    scene: Scene
+    objects: tuple[str, ...] = ("object",)
+    boxes: bool = True
+    shown: BoolArray | None = None
+    skew: tuple[float, ...] | None = None
+    stamped: bool = False
+    repeats: int = 1
+    quality: int = 14
+
+    @property
+    def frames(self) -> int:
+        """Number of instants, repeats included."""
+        return self.scene.frames * self.repeats
+
+
+def write_recording(recording: Recording, out_dir: str | Path) -> None:
+    """Render a recording and write it as a session, at 30 frames per second: one video per camera, `calibration.toml`,
+    `boxes.toml` (with a table per object where there are several) and, where the cameras' times matter, `timestamps.csv`.
+
+    With it goes the truth: `groundtruth.tum` (world_from_object at the nominal times) and `dataset.toml` (the first
+    object's centre in the first frame) as `write_sequence` writes them, `vertices.txt` (the body's corners in the object's
+    frame), `visible.csv` (of `visible_shares`), each with `_OBJECT` in its name where there are several, and
+    `offsets.toml` (the skew).
+
+    Raises:
+        OSError: a folder or file that cannot be written.
+        ValueError: images of odd width or height, which videos cannot hold.
+    """
+    for camera in recording.scene.rig:
+        if camera.size[0] % 2 or camera.size[1] % 2:
+            raise ValueError(f"camera {camera.name}: videos need an even width and height, got {camera.size}")
+    out = Path(out_dir)
+    out.mkdir(parents=True, exist_ok=True)
+    scene, rig = recording.scene, recording.scene.rig
+    from sylpose import calibration  # the importers of other formats are of no use to the rest of this package
+
+    calibration.save(rig, out / "calibration.toml")
+    boxes: list[str] = []
+    for k, name in enumerate(recording.objects):
+        suffix = "" if len(recording.objects) == 1 else f"_{name}"
+        truth = demo_truth(replace(scene, actors=scene.actors[k:]))
+        poses = truth.world_from_object
+        rows = np.column_stack([poses.translation, poses.rotation.as_quat(canonical=True)])
+        times = np.arange(recording.frames) / FRAME_RATE
+        table = np.column_stack([times, np.tile(rows, (recording.repeats, 1))])
+        np.savetxt(out / f"groundtruth{suffix}.tum", table, fmt="%.9g", header="time tx ty tz qx qy qz qw")
+        np.savetxt(out / f"vertices{suffix}.txt", truth.vertices, fmt="%.9g", header="corners, object's frame")
+        if k == 0:
+            center = ", ".join(f"{v:.9g}" for v in poses.translation[0])
+            text = f'calibration = "calibration.toml"\ngroundtruth = "groundtruth{suffix}.tum"\n'
+            (out / "dataset.toml").write_text(f"{text}center_world = [{center}]\n")
+        if len(recording.objects) > 1:
+            boxes.append(f"[{name}]")
+        boxes += [f"{camera} = {list(box)}" for camera, box in truth.boxes.items()]
+        _write_table(out / f"visible{suffix}.csv", rig.names, visible_shares(scene, k), "{:.3f}")
+    if recording.boxes:
+        (out / "boxes.toml").write_text("\n".join(boxes) + "\n")
+    if recording.skew is not None:
+        offsets = [f"{name} = {offset}" for name, offset in zip(rig.names, recording.skew, strict=True)]
+        (out / "offsets.toml").write_text("\n".join(offsets) + "\n")
+    if recording.stamped or recording.shown is not None:
+        stamps = np.tile(np.arange(scene.frames)[:, None] / FRAME_RATE, (1, len(rig)))
+        if recording.stamped and recording.skew is not None:
+            stamps = stamps + np.asarray(recording.skew)
+        if recording.shown is not None:
+            stamps[~recording.shown] = np.nan
+        _write_table(out / "timestamps.csv", rig.names, stamps, "{:.6f}")
+    _write_videos(recording, out)
+
+
+def visible_shares(scene: Scene, index: int = 0) -> FloatArray:
+    """(frames, C) share of an actor's corners that are inside a camera's image and not behind another actor."""
+    shares = np.zeros((scene.frames, len(scene.rig)))
+    others = [actor for i, actor in enumerate(scene.actors) if i != index]
+    for frame in range(scene.frames):
+        pose = scene.actors[index].path(float(frame))
+        corners = pose.apply(scene.actors[index].body.vertices)
+        posed = [(other.body, other.path(float(frame))) for other in others]
+        for c, camera in enumerate(scene.rig):
+            pixels = camera.project(corners)
+            inside = ((pixels > -0.5) & (pixels < np.array(camera.size) - 0.5)).all(axis=1)  # false for NaN, too
+            distance = np.linalg.norm(pose.translation - camera.center)
+            for body, other in posed:
+                if np.linalg.norm(other.translation - camera.center) < distance:
+                    outline = camera.project(other.apply(body.vertices))
+                    if np.isfinite(outline).all():
+                        hull = ConvexHull(outline)
+                        behind = pixels @ hull.equations[:, :2].T + hull.equations[:, 2] < 0
+                        inside &= ~behind.all(axis=1)
+            shares[frame, c] = inside.mean()
+    return shares
+
+
+def _write_table(path: Path, names: Sequence[str], values: FloatArray, style: str) -> None:
+    with path.open("w", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(["frame", *names])
+        for k, row in enumerate(values):
+            table.writerow([k, *("" if np.isnan(v) else style.format(v) for v in row)])
+
+
+def _images(recording: Recording) -> Iterator[tuple[Image, ...]]:
+    """The cameras' images, frame by frame, each at its own time."""
+    scene = recording.scene
+    if recording.skew is None:
+        yield from render_frames(scene)
+        return
+    alone = []
+    for k, (name, skew) in enumerate(zip(scene.rig.names, recording.skew, strict=True)):
+        actors = tuple(Actor(actor.body, _shifted(actor.path, skew * FRAME_RATE)) for actor in scene.actors)
+        # Another seed each: a rig's first camera has the first background of its scene.
+        alone.append(
+            render_frames(replace(scene, rig=scene.rig.subset([name]), actors=actors, seed=100 * scene.seed + k))
+        )
+    for images in zip(*alone, strict=True):
+        yield tuple(image for (image,) in images)
+
+
+def _shifted(path: Motion, frames: float) -> Motion:
+    """The path as it is seen so many frames late."""
+    return lambda frame: path(frame + frames)
+
+
+def _write_videos(recording: Recording, out: Path) -> None:
+    """One video per camera, encoded as `write_sequence` does; repeats are the same packets again."""
+    rig, shown = recording.scene.rig, recording.shown
+    codec, options = "mpeg4", {"qscale": "2"}
+    if "libx264" in av.codecs_available:
+        # One key frame at the start and no frames that refer to later ones: such a video can follow itself.
+        key = {"bf": "0", "g": str(recording.scene.frames)} if recording.repeats > 1 else {}
+        codec, options = "libx264", {"crf": str(recording.quality), "preset": "veryfast", "threads": "1", **key}
+    files = [av.open(str(out / f"{camera.name}.mp4"), "w") for camera in rig]
+    try:
+        streams: list[Any] = []  # PyAV's types do not tell a stream of video from others
+        for file, camera in zip(files, rig, strict=True):
+            stream: Any = file.add_stream(codec, rate=FRAME_RATE, options=options)
+            stream.width, stream.height = camera.size
+            stream.pix_fmt = "yuv420p"
+            stream.time_base = Fraction(1, FRAME_RATE)
+            streams.append(stream)
+        packets: list[list[Any]] = [[] for _ in streams]  # of one round, where there are several
+
+        def put(c: int, made: Sequence[Any]) -> None:
+            for packet in made:
+                if recording.repeats > 1:
+                    packets[c].append(_later(packet, 0))  # muxing changes a packet
+                files[c].mux(packet)
+
+        for k, images in enumerate(_images(recording)):
+            for c, (stream, image) in enumerate(zip(streams, images, strict=True)):
+                if shown is None or shown[k, c]:
+                    put(c, stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+        for c, stream in enumerate(streams):
+            put(c, stream.encode())
+            for k in range(1, recording.repeats):
+                for packet in packets[c]:
+                    files[c].mux(_later(packet, k * recording.scene.frames))
+    finally:
+        for file in files:
+            file.close()
+
+
+def _later(packet: Any, frames: int) -> Any:
+    """The same packet again, so many frames later."""
+    again: Any = av.Packet(bytes(packet))
+    again.stream, again.time_base, again.is_keyframe = packet.stream, packet.time_base, packet.is_keyframe
+    delay = round(frames / FRAME_RATE / packet.time_base)
+    again.pts, again.dts, again.duration = packet.pts + delay, packet.dts + delay, packet.duration
+    return again

@@ -1,0 +1,160 @@
+"""A trajectory refined as a whole: all poses and all landmarks together, by what was seen in all frames.
+
+The tracker knows the past only; this knows the future too. It uses the tracks of the landmarks and not the stored moments:
+a landmark that is seen in many frames ties them all, with a depth that all of them have a share in, where moments of two
+frames leave each depth open (docs/benchmarks.md, "Smoothing", has the figures).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.bundle import Bundled, Observations, bundle
+from sylpose.results import FramePose, Status
+from sylpose.rig import Rig
+from sylpose.tracking import Sightings, TrackedFrame
+
+__all__ = ["Smoothed", "Track", "smooth"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What smoothing keeps of a tracked frame: no images.
+
+    Attributes:
+        pose: as tracked.
+        sightings: per camera.
+        late: (C,) seconds.
+        radius: of the object.
+    """
+
+    pose: FramePose
+    sightings: tuple[Sightings, ...]
+    late: FloatArray
+    radius: float
+
+    @classmethod
+    def of(cls, tracked: TrackedFrame) -> Track:
+        """Of a frame that the tracker has yielded."""
+        return cls(tracked.pose, tracked.sightings, tracked.late, tracked.radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """A refined trajectory.
+
+    Attributes:
+        poses: of all frames; those that were not measured, or that nothing ties to the first, are as they were, but for
+            coasting ones, which are carried along with their neighbours.
+        status: OK; NOT_CONVERGED; TOO_FEW_MATCHES when there was nothing to refine: then the poses are as they were.
+        offsets: (C,) seconds by which each camera is late, their mean 0, and offsets_sd: (C,) their standard deviations;
+            zeros when not asked for.
+        sigma_px: (C,) noise of each camera, pixels.
+        rounds: of the solver.
+    """
+
+    poses: tuple[FramePose, ...]
+    status: Status
+    offsets: FloatArray
+    offsets_sd: FloatArray
+    sigma_px: FloatArray
+    rounds: int
+
+
+def smooth(frames: Sequence[Track], rig: Rig, *, offsets_sd: float | None = None) -> Smoothed:
+    """Refines the poses of all frames together; the first one's stays.
+
+    Args:
+        frames: in order of time, all that the tracker gave.
+        rig: the tracker's.
+        offsets_sd: seconds; if given, how far apart in time the cameras are is estimated too, within about this.
+    """
+    nothing = np.zeros(len(rig))
+    used = [k for k, frame in enumerate(frames) if frame.pose.measured and len(frame.sightings)]
+    poses = [frame.pose for frame in frames]
+    if len(used) < 2:
+        return Smoothed(tuple(poses), Status.TOO_FEW_MATCHES, nothing, nothing, np.full(len(rig), np.nan), 0)
+    seen, places = _observations([frames[k] for k in used])
+    late = np.array([frames[k].late for k in used])
+    bundled = bundle(
+        rig,
+        seen,
+        _stacked([frames[k].pose for k in used]),
+        frames[used[-1]].radius,
+        landmarks=places,
+        times=np.array([frames[k].pose.time for k in used])[:, None] + late,
+        offsets_sd=offsets_sd,
+    )
+    if bundled.status is not Status.TOO_FEW_MATCHES:
+        counts, residuals = _per_camera(bundled, seen, len(used), len(rig))
+        for i, k in enumerate(used[1:], start=1):
+            if bundled.tied[i]:
+                poses[k] = replace(
+                    poses[k],
+                    world_from_object=bundled.world_from_object[i],
+                    covariance=bundled.covariance[i],
+                    inliers=counts[i],
+                    residuals=residuals[i],
+                )
+        _carry_along(poses, [frame.pose for frame in frames])
+    return Smoothed(tuple(poses), bundled.status, bundled.offsets, bundled.offsets_sd, bundled.sigma_px, bundled.rounds)
+
+
+def _stacked(poses: Sequence[FramePose]) -> RigidTransform:
+    transforms = [pose.world_from_object for pose in poses if pose.world_from_object is not None]
+    return RigidTransform.from_components(
+        np.array([t.translation for t in transforms]),
+        Rotation.from_quat(np.array([t.rotation.as_quat() for t in transforms])),
+    )
+
+
+def _observations(frames: Sequence[Track]) -> tuple[Observations, FloatArray]:
+    """All sights of landmarks that were seen at least twice, numbered from 0, and where each was last thought to be."""
+    frame, camera, landmark, image, place = [], [], [], [], []
+    for k, f in enumerate(frames):
+        for c, s in enumerate(f.sightings):
+            frame.append(np.full(len(s.landmark), k))
+            camera.append(np.full(len(s.landmark), c))
+            landmark.append(s.landmark)
+            image.append(s.normalized)
+            place.append(s.place)
+    every = np.concatenate(landmark)
+    _, names, counts = np.unique(every, return_inverse=True, return_counts=True)
+    often = counts[names] >= 2
+    _, names = np.unique(every[often], return_inverse=True)
+    places = np.zeros((int(names.max(initial=-1)) + 1, 3))
+    places[names] = np.concatenate(place)[often]  # the last one counts
+    seen = Observations(
+        np.concatenate(frame)[often], np.concatenate(camera)[often], names, np.concatenate(image)[often]
+    )
+    return seen, places
+
+
+def _per_camera(bundled: Bundled, seen: Observations, n: int, cameras: int) -> tuple[IntArray, FloatArray]:
+    """(n, C) numbers of inliers and their rms residuals in pixels, NaN without any."""
+    good = bundled.weights > 0
+    cell = (seen.frame * cameras + seen.camera)[good]
+    counts = np.bincount(cell, minlength=n * cameras)
+    squares = np.bincount(cell, bundled.residuals[good] ** 2, minlength=n * cameras)
+    rms = np.sqrt(np.divide(squares, counts, out=np.full(n * cameras, np.nan), where=counts > 0))
+    return counts.reshape(n, cameras).astype(np.int64), rms.reshape(n, cameras)
+
+
+def _carry_along(poses: list[FramePose], before: Sequence[FramePose]) -> None:
+    """Coasting poses keep their place relative to the last measured one."""
+    last: int | None = None
+    for k, pose in enumerate(poses):
+        if pose.measured:
+            last = k
+        elif last is not None and pose.world_from_object is not None:
+            old, new = before[last].world_from_object, poses[last].world_from_object
+            if old is not None and new is not None:
+                poses[k] = replace(pose, world_from_object=new * old.inv() * pose.world_from_object)
