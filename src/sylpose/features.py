@@ -16,8 +16,8 @@ __all__ = ["Features", "Matches", "detect", "match_features", "seen_before"]
 
 FloatArray = NDArray[np.float64]
 
-# SIFT looks at a patch of about this many pixels around a keypoint; a crop is padded by it.
-CROP_MARGIN_PX = 24
+# A crop is padded by this: the object's region has a margin of its own, and SIFT's time is that of its area.
+CROP_MARGIN_PX = 4
 MAX_FEATURES = 2000
 # OpenCV's SIFT doubles the image first, and its keypoints are off by half of a pixel of that, right and down.
 # (Its enable_precise_upscale, which OpenCV has since 4.8, removes that too, but tracks less precisely.)
@@ -150,18 +150,20 @@ def match_features(a: Features, b: Features, ratio: float = 0.8, max_shift_px: f
     # Unit vectors: |u - v|^2 = 2 - 2 u.v, so one matrix product gives all distances.
     similarity = a.descriptors @ b.descriptors.T
     rows = np.arange(len(a))
-    forward, backward = similarity.argmax(axis=1), similarity.argmax(axis=0)
+    forward = similarity.argmax(axis=1)
     best = similarity[rows, forward]
+    mutual = best == similarity.max(axis=0)[forward]
     similarity[rows, forward] = -1.0
     second = similarity.max(axis=1)
-    distinct = 1.0 - best <= ratio**2 * (1.0 - second)
-    i = np.flatnonzero(distinct & (backward[forward] == rows))
-    pairs = np.column_stack([i, forward[i]])
-    shift = np.linalg.norm(a.pixels[pairs[:, 0]] - b.pixels[pairs[:, 1]], axis=1)
-    pairs = pairs[shift <= max_shift_px]
-    places = np.round(np.concatenate([a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]]], axis=1), 1)
-    _, first = np.unique(places, axis=0, return_index=True)
-    return np.asarray(pairs[np.sort(first)])
+    i = np.flatnonzero(mutual & (1.0 - best <= ratio**2 * (1.0 - second)))
+    j = forward[i]
+    near = np.linalg.norm(a.pixels[i] - b.pixels[j], axis=1) <= max_shift_px
+    pairs = np.column_stack([i, j])[near]
+    places = np.rint(10.0 * np.concatenate([a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]]], axis=1))
+    order = np.lexsort(places.T)
+    new = np.ones(len(order), bool)
+    new[1:] = (places[order[1:]] != places[order[:-1]]).any(axis=1)
+    return np.asarray(pairs[np.sort(order[new])])
 
 
 def seen_before(features: Features, earlier: Features) -> NDArray[np.bool_]:

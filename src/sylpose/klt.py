@@ -90,6 +90,26 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.pixels)
 
+    def subset(self, rows: NDArray[np.int64]) -> Tracks:
+        """Some of the rows (m,), in this order."""
+        patches = Patches(self.patches.filters[rows], self.patches.contrast[rows], self.patches.sd[rows])
+        return Tracks(patches, self.pixels[rows], self.warps[rows], self.followed[rows])
+
+    def join(self, others: Tracks) -> Tracks:
+        """These rows, then those."""
+        a, b = self.patches, others.patches
+        patches = Patches(
+            np.concatenate([a.filters, b.filters]),
+            np.concatenate([a.contrast, b.contrast]),
+            np.concatenate([a.sd, b.sd]),
+        )
+        return Tracks(
+            patches,
+            np.concatenate([self.pixels, others.pixels]),
+            np.concatenate([self.warps, others.warps]),
+            np.concatenate([self.followed, others.followed]),
+        )
+
     def keep(self, mask: BoolArray) -> Tracks:
         """The same features; those outside the mask (n,) are lost, such as outliers of a motion."""
         followed = self.followed & mask

@@ -9,11 +9,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.capture import Box, FrameSet
 from sylpose.features import MAX_FEATURES, Features, detect, seen_before
 from sylpose.fit import MIN_MATCHES, Fit
+from sylpose.following import Anchor, Followed, begin_anchor, follow, greys, with_new
 from sylpose.keyframes import add_keyframe, references_of, viewpoints
 from sylpose.landmarks import learn_landmarks
 from sylpose.motion import covariance_of, motion_about, observed
@@ -33,6 +34,8 @@ Regions = Sequence[FloatArray | None]
 
 # How each frame's pose is found; the first is the default.
 METHODS = tuple(SOLVERS)
+# Where the features of a frame come from; the first is the default.
+FEATURES = ("sift", "klt")
 # Without boxes nothing is known of the object until it moves: so many frames wait for that, with their images.
 PATIENCE = 10
 # Margin of the object's region, as a share of its size in the image; it grows while the object is lost, up to a bound.
@@ -40,7 +43,13 @@ REGION_GROWTH, MAX_GROWTH = 0.15, 1.0
 # Features per camera while the object may be anywhere in the image.
 START_FEATURES = 4000
 # Object points kept to follow the object's region.
-MAX_POINTS = 1500
+MAX_POINTS = 600
+# Features per camera of an anchor; and what of them must still be seen: this share of them and so many in all, while the
+# object has turned by less than this (radians) since.
+KLT_FEATURES, ANCHOR_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 400, 0.5, 60, np.radians(10.0)
+# The weight of constant velocity beside a frame's matches: its standard deviation is this many times the usual change of
+# velocity. It counts once so many frames in a row were solved.
+PREDICTION, STEADY_FRAMES = 5.0, 5
 # Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before found.
 SPEED_ROUNDS = 2
 # An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
@@ -93,6 +102,7 @@ def track(
     boxes: Mapping[str, Box] | None = None,
     *,
     method: str = METHODS[0],
+    features: str = FEATURES[0],
     offsets: Mapping[str, float] | None = None,
     workers: int | None = None,
     seed: int = 0,
@@ -101,7 +111,7 @@ def track(
 
     Args:
         frames: of the recording, in order: `session.frames()`.
-        rig, boxes, method, offsets, workers, seed: see `Tracker`.
+        rig, boxes, method, features, offsets, workers, seed: see `Tracker`.
 
     Yields:
         One `TrackedFrame` per frame. Without boxes the first ones are held back until the object has moved.
@@ -109,7 +119,7 @@ def track(
     Raises:
         ValueError: an unknown method; boxes of cameras that the rig does not have, or that do not meet in space.
     """
-    with Tracker(rig, boxes, method=method, offsets=offsets, workers=workers, seed=seed) as tracker:
+    with Tracker(rig, boxes, method=method, features=features, offsets=offsets, workers=workers, seed=seed) as tracker:
         for frame_set in frames:
             yield from tracker.step(frame_set)
         yield from tracker.flush()
@@ -125,6 +135,8 @@ class Tracker:
             against the standing background.
         method: "landmarks" (places of the features on the object grow certain over time: drifts least), "epipolar"
             (epipolar geometry against several references) or "sylvester" (the paper's estimator, frame to frame).
+        features: "sift" (SIFT in every frame) or "klt" (followed from image to image, SIFT only where that does not
+            suffice: several times faster, for live use).
         offsets: by camera, seconds by which its images are later than its time stamps say.
         workers: threads for detection and matching; None: one per core, at most one per camera.
         seed: of the outlier rejection. The same input and seed give the same output, whatever the number of threads.
@@ -139,21 +151,27 @@ class Tracker:
         boxes: Mapping[str, Box] | None = None,
         *,
         method: str = METHODS[0],
+        features: str = FEATURES[0],
         offsets: Mapping[str, float] | None = None,
         workers: int | None = None,
         seed: int = 0,
     ) -> None:
         if method not in SOLVERS:
             raise ValueError(f"method: {method!r} is not one of {', '.join(METHODS)}")
+        if features not in FEATURES:
+            raise ValueError(f"features: {features!r} is not one of {', '.join(FEATURES)}")
         self.rig = rig
         self._solve = SOLVERS[method]
         self._seed = seed
         self._offsets = dict(offsets or {})
+        self._follows = features == "klt"
+        self._anchor: Anchor | None = None  # whose features are followed
         self._keyframes: list[Reference] = []
         self._last: Reference  # the last solved frame, from the first one on
         self._waiting: list[tuple[Reference, FrameSet]] = []
         self._twist = np.zeros(6)  # the last motion per second, exponential coordinates in the world
-        self._unsteady = np.zeros(6)  # mean square of its changes from frame to frame
+        self._unsteady = np.zeros(6)  # mean square of how its turn and the centre's velocity change from frame to frame
+        self._steady_frames = 0  # solved in a row
         self._missed = 0  # frames since the last solved one
         self._lost = False  # whether nothing is known any more of where it is
         self._n_landmarks = 0
@@ -243,11 +261,14 @@ class Tracker:
 
     def _reference(self, frames: FrameSet, features: Sequence[Features]) -> Reference:
         """A frame to be solved; what the first frame has at the same place around the object is background."""
-        known = tuple(map(seen_before, features, self._surroundings))
+        known = self._known_background(features)
         own = [frames.time if time is None else time for time in frames.times]
         offsets = [self._offsets.get(name, 0.0) for name in self.rig.names]
         late = np.array(own) - frames.time + offsets
         return Reference(frames.index, frames.time, tuple(features), known, late=late)
+
+    def _known_background(self, features: Sequence[Features]) -> tuple[BoolArray, ...]:
+        return tuple(map(seen_before, features, self._surroundings))
 
     def _regions(self, world_from_object: RigidTransform, growth: float) -> list[FloatArray | None]:
         """Where to look in each camera: the image of the object's points at a pose, with a margin."""
@@ -274,6 +295,8 @@ class Tracker:
         self._learn(first, [], self.rig, bulge=0.5 if self._bounded and len(self.rig) == 1 else 0.0)
         self._last = first
         self._keyframes.append(first)
+        if self._follows:
+            self._anchor = begin_anchor(first, greys(frames.images), None)
         return self._result(first, frames, Status.FIRST, regions)
 
     def _await_motion(self, current: Reference, frames: FrameSet) -> list[TrackedFrame]:
@@ -326,17 +349,42 @@ class Tracker:
         regions: Regions = [None] * len(self.rig)
         if not self._lost:
             regions = self._regions(ahead, min(REGION_GROWTH * (1 + self._missed), MAX_GROWTH))
-            current = self._reference(frames, self._detect(frames, self._masks(regions)))
-            found = self._solve_from(current, ahead)
+            followed = self._follow(frames, ahead)
+            if followed is not None and self._suffices(followed, ahead):
+                current = self._reference(frames, followed.features)
+                found = self._solve_from(current, ahead, followed, anew=False)
+                if found is not None and found.inliers > ANCHOR_SHARE * len(followed):
+                    return self._accept(current, frames, regions, found, followed, anew=False)
+            detected = self._detect(frames, self._masks(regions), KLT_FEATURES if self._follows else MAX_FEATURES)
+            if followed is not None:
+                detected = with_new(followed, detected, self._known_background(detected))
+            current = self._reference(frames, detected)
+            found = self._solve_from(current, ahead, followed)
             if found is not None:
-                return self._accept(current, frames, regions, found)
+                return self._accept(current, frames, regions, found, followed)
         current = self._reference(frames, self._detect(frames, self._everywhere()))
         pose = relocalise(self.rig, self._keyframes, current, self._last, self._radius, self._pool)
         if pose is not None:
-            found = self._solve_from(current, pose)
+            found = self._solve_from(current, pose, None)
             if found is not None:
-                return self._accept(current, frames, self._regions(pose, REGION_GROWTH), found)
+                return self._accept(current, frames, self._regions(pose, REGION_GROWTH), found, None)
         return self._missing(frames, ahead, regions)
+
+    def _follow(self, frames: FrameSet, ahead: RigidTransform) -> Followed | None:
+        """The anchor's features in the next images; None without an anchor, or after a frame without the object."""
+        if self._anchor is None or self._missed:
+            return None
+        images = greys(frames.images)
+        last = self._last.world_from_object
+        return follow(self._anchor, self.rig, last, ahead, images, frames.masks, self._radius, self._pool)
+
+    def _suffices(self, followed: Followed, ahead: RigidTransform) -> bool:
+        """Whether enough of the anchor's features are still seen to do without new ones."""
+        assert self._anchor is not None
+        reference = self._anchor.reference
+        turn = (ahead.rotation * reference.world_from_object.rotation.inv()).magnitude()
+        enough = len(followed) >= max(ANCHOR_SHARE * self._anchor.n_alive, MIN_FOLLOWED)
+        return enough and turn < ANCHOR_TURN
 
     def _predict(self, time: float) -> RigidTransform:
         """The pose that constant velocity gives; the last pose once the object is lost."""
@@ -348,18 +396,30 @@ class Tracker:
         if not frame.late.any() or not twist.any():
             return self.rig
         # A speed that changes from frame to frame by as much as it is says little about an instant in between.
-        square, change = (np.repeat(v.reshape(2, 3).sum(axis=1), 3) for v in (twist**2, self._unsteady))
-        twist = twist * square / np.maximum(square + change, 1e-300)
+        center = self._last.world_from_object.translation
+        speed = np.concatenate([twist[:3], np.cross(twist[:3], center) + twist[3:]])
+        square, change = (np.repeat(v.reshape(2, 3).sum(axis=1), 3) for v in (speed**2, self._unsteady))
+        speed = speed * square / np.maximum(square + change, 1e-300)
+        twist = np.concatenate([speed[:3], speed[3:] - np.cross(speed[:3], center)])
         cameras = [
             replace(camera, camera_from_world=camera.camera_from_world * _exp(twist * late))
             for camera, late in zip(self.rig, frame.late, strict=True)
         ]
         return Rig(cameras, self.rig.unit)
 
-    def _solve_from(self, current: Reference, guess: RigidTransform) -> _Found | None:
-        """The frame's pose, from a guess; None if it cannot be found from there."""
+    def _solve_from(
+        self, current: Reference, guess: RigidTransform, followed: Followed | None = None, *, anew: bool = True
+    ) -> _Found | None:
+        """The frame's pose, from a guess; None if it cannot be found from there.
+
+        Args:
+            followed: the first features of each camera, if they were followed from the anchor.
+            anew: whether it has others, to be matched by their looks.
+        """
         base = self._last
-        pairs = self._match(current, guess)
+        pairs = followed.pairs(self._anchor.reference) if followed is not None and self._anchor is not None else []
+        if anew:
+            pairs += self._match(current, guess, with_last=followed is None)
         if self._guessed:
             self._learn_depth(self._keyframes[0], current, pairs)
         center = base.world_from_object.translation
@@ -371,6 +431,7 @@ class Tracker:
             fit = self._solve(rig, pairs, current, base, self._radius, hypothesis, self._rng())
             if not fit.status.has_pose:
                 return None
+            fit = self._with_prediction(fit, current.time)
             motion = motion_about(center, fit)
             guess = motion * base.world_from_object
             if not current.late.any():
@@ -382,26 +443,73 @@ class Tracker:
                 self._learn(base, [], self._rig_at(base, twist))
         return _Found(rig, pairs, fit, motion)
 
-    def _accept(self, current: Reference, frames: FrameSet, regions: Regions, found: _Found) -> TrackedFrame:
-        """Take a frame as solved, and learn from it what the next ones need."""
+    def _surprise(self, rotation: FloatArray, shift: FloatArray, elapsed: float) -> FloatArray:
+        """(6,) of (w, d): by how much a motion since the last frame differs from what constant velocity gives."""
+        center = self._last.world_from_object.translation
+        ahead = _exp(self._twist * elapsed)
+        turn = (Rotation.from_matrix(rotation) * ahead.rotation.inv()).as_rotvec()
+        return np.concatenate([turn, shift - (ahead.apply(center) - center)])
+
+    def _with_prediction(self, fit: Fit, time: float) -> Fit:
+        """The fit, with what constant velocity says of the motion since the last frame as one more measurement.
+
+        It is a weak one, and matters where the matches say little: when all but a corner of the object is hidden.
+        """
+        if self._lost or fit.status is Status.NO_MOTION or self._steady_frames < STEADY_FRAMES:
+            return fit
+        elapsed = time - self._last.time
+        error = self._surprise(fit.rotation, fit.shift, elapsed)
+        spread = PREDICTION * elapsed * np.sqrt(np.repeat(self._unsteady.reshape(2, 3).sum(axis=1), 3))
+        prediction = np.diag(1.0 / np.maximum(spread, 1e-12) ** 2)
+        information = fit.information + prediction
+        step = -np.linalg.solve(information, prediction @ error)
+        rotation = (Rotation.from_rotvec(step[:3]) * Rotation.from_matrix(fit.rotation)).as_matrix()
+        return replace(fit, rotation=rotation, shift=fit.shift + step[3:], information=information)
+
+    def _accept(
+        self,
+        current: Reference,
+        frames: FrameSet,
+        regions: Regions,
+        found: _Found,
+        followed: Followed | None = None,
+        *,
+        anew: bool = True,
+    ) -> TrackedFrame:
+        """Take a frame as solved, and learn from it what the next ones need. See `_solve_from`."""
         base, fit, pairs = self._last, found.fit, found.pairs
         current.world_from_object = found.motion * base.world_from_object
         current.viewpoints = viewpoints(self.rig, current.world_from_object)
         stood = fit.status is Status.NO_MOTION  # the pose is the base's, and so is its error
         current.covariance = base.covariance if stood else self._covariance(fit, pairs, current)
-        learn_background(pairs, self.rig, current, self._radius)
+        if anew:
+            learn_background(pairs, self.rig, current, self._radius)
         inliers = inliers_of(pairs, fit.weights)
         ages = [pair.reference.landmarks[pair.camera].seen[pair.indices[:, 0]] for pair in inliers]
         current.age = usual_age(np.concatenate(ages))
         self._learn(current, inliers, found.rig)
         twist = found.motion.as_exp_coords() / max(current.time - base.time, 1e-9)
         if not self._missed:
-            self._unsteady += 0.2 * ((twist - self._twist) ** 2 - self._unsteady)
+            surprise = self._surprise(fit.rotation, fit.shift, current.time - base.time) / max(
+                current.time - base.time, 1e-9
+            )
+            # The first one is the motion itself.
+            if self._steady_frames:
+                self._unsteady += (surprise**2 - self._unsteady) / min(self._steady_frames, 5)
+        self._steady_frames = self._steady_frames + 1 if not self._missed else 0
         self._twist = np.zeros(6) if self._lost else twist
         status = Status.RELOCALISED if self._missed else Status.TRACKED
         self._missed, self._lost = 0, False
         self._last = current
-        add_keyframe(self._keyframes, current)
+        if self._anchor is not None and followed is not None:
+            for pair, weights in zip(pairs, fit.weights, strict=True):
+                if pair.reference is self._anchor.reference:
+                    self._anchor.alive[pair.camera][pair.indices[weights == 0, 0]] = False
+            self._anchor.tracks, self._anchor.images = followed.tracks, followed.images
+        if anew:
+            add_keyframe(self._keyframes, current)
+            if self._follows:
+                self._anchor = begin_anchor(current, greys(frames.images), followed)
         return self._result(current, frames, status, regions, pairs, fit, base)
 
     def _missing(self, frames: FrameSet, ahead: RigidTransform, regions: Regions) -> TrackedFrame:
@@ -419,12 +527,13 @@ class Tracker:
         pose = FramePose(frames.index, frames.time, Status.COASTING, ahead, covariance, *nothing)
         return TrackedFrame(pose, frames, (None,) * n, tuple(regions), self._radius)
 
-    def _match(self, current: Reference, guess: RigidTransform) -> list[Pair]:
+    def _match(self, current: Reference, guess: RigidTransform, *, with_last: bool = True) -> list[Pair]:
         """Matches with the last solved frame and with keyframes that show the object from about the same side."""
         here = viewpoints(self.rig, guess)
 
         def run(c: int) -> list[Pair]:
-            references = [self._last, *references_of(self._keyframes, c, here[c], self._last)]
+            references = [self._last] if with_last else []
+            references += references_of(self._keyframes, c, here[c], self._last if with_last else None)
             # In order: each reference passes on what it knows of the background, and the next one uses it.
             return [match_pair(reference, current, c) for reference in references]
 
@@ -558,6 +667,11 @@ class _Found:
     pairs: list[Pair]
     fit: Fit
     motion: RigidTransform
+
+    @property
+    def inliers(self) -> int:
+        """Number of matches that agree."""
+        return sum(int((w > 0).sum()) for w in self.fit.weights)
 
 
 def _exp(twist: FloatArray) -> RigidTransform:

@@ -1,0 +1,177 @@
+"""The KLT front end: an anchor frame's features, followed from image to image until too few of them are left.
+
+SIFT finds the features of an anchor and matches them with the keyframes; in the frames between two anchors they are only
+followed, which takes a tenth of the time and places them better (`sylpose.klt`). The next anchor goes on with those that
+are still followed and adds new ones beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.features import Features
+from sylpose.klt import Tracks, advance, begin, grey
+from sylpose.reference import Pair, Reference
+from sylpose.rig import Rig
+
+__all__ = ["Anchor", "Followed", "begin_anchor", "follow", "greys", "with_new"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+Images = Sequence[NDArray[np.uint8] | None]
+
+# Features per camera that an anchor has in all, if there are so many, and how many of them are new at least.
+FEATURES, MIN_NEW = 250, 60
+# A new feature this near to one that is followed, pixels, is the same.
+SAME_PX = 4.0
+# Features that were lost on the way are looked for again where their depth is known to this share of the object's radius.
+KNOWN_DEPTH = 0.1
+
+
+@dataclass(eq=False)
+class Anchor:
+    """A frame whose features are followed, as far as they have been.
+
+    Attributes:
+        reference: the frame; its landmarks learn what the followed features show.
+        tracks: per camera, a row for each of the reference's features.
+        alive: per camera (n,), False for features that turned out not to be on the object.
+        images: per camera the last one, grey; None before the camera's first.
+    """
+
+    reference: Reference
+    tracks: list[Tracks]
+    alive: list[BoolArray]
+    images: list[NDArray[np.uint8] | None]
+
+    @property
+    def n_alive(self) -> int:
+        """Number of features that could still be seen."""
+        return sum(int(alive.sum()) for alive in self.alive)
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What an anchor's features look like in a frame.
+
+    Attributes:
+        rows: per camera (m,) which of the anchor's features were found.
+        features: per camera, those features in the frame.
+        tracks: per camera, of all of the anchor's features.
+        images: per camera, grey.
+    """
+
+    rows: tuple[IntArray, ...]
+    features: tuple[Features, ...]
+    tracks: list[Tracks]
+    images: list[NDArray[np.uint8] | None]
+
+    def __len__(self) -> int:
+        return sum(len(rows) for rows in self.rows)
+
+    def pairs(self, anchor: Reference) -> list[Pair]:
+        """Their matches with the anchor; in the frame they are the first features of each camera."""
+        found = []
+        for c, (rows, b) in enumerate(zip(self.rows, self.features, strict=True)):
+            if len(rows):
+                a = anchor.features[c]
+                indices = np.column_stack([rows, np.arange(len(rows))])
+                found.append(Pair(c, anchor, indices, a.pixels[rows], b.pixels, a.normalized[rows], b.normalized))
+        return found
+
+
+def greys(images: Images) -> list[NDArray[np.uint8] | None]:
+    """Grey images of those there are."""
+    return [None if image is None else grey(image) for image in images]
+
+
+def begin_anchor(current: Reference, images: Sequence[NDArray[np.uint8] | None], before: Followed | None) -> Anchor:
+    """Makes a solved frame an anchor.
+
+    Args:
+        images: (h, w) grey, per camera.
+        before: what was followed up to it: the first features of each of its cameras. They keep their patches.
+    """
+    tracks = []
+    for c, (features, image) in enumerate(zip(current.features, images, strict=True)):
+        known = 0 if before is None else len(before.rows[c])
+        if image is None:
+            image = np.zeros((1, 1), np.uint8)  # where nothing can be begun
+        new = begin(image, features.pixels[known:])
+        tracks.append(new if before is None else before.tracks[c].subset(before.rows[c]).join(new))
+    return Anchor(current, tracks, [t.followed.copy() for t in tracks], list(images))
+
+
+def follow(
+    anchor: Anchor,
+    rig: Rig,
+    last: RigidTransform,
+    ahead: RigidTransform,
+    images: Sequence[NDArray[np.uint8] | None],
+    masks: Sequence[BoolArray | None],
+    radius: float,
+    pool: Executor,
+) -> Followed:
+    """Looks for an anchor's features in the next images.
+
+    Args:
+        last, ahead: world_from_object, of the images they were last followed to and as predicted for these.
+        images: (h, w) grey, per camera; masks: (h, w), True on the object.
+        radius: of the object.
+        pool: one job per camera.
+    """
+
+    def run(c: int) -> tuple[IntArray, Features, Tracks]:
+        camera, image, before, tracks = rig.cameras[c], images[c], anchor.images[c], anchor.tracks[c]
+        if image is None or before is None or not anchor.alive[c].any():
+            return np.empty(0, np.int64), Features.none(), tracks
+        landmarks = anchor.reference.landmarks[c]
+        expected, was = (camera.project(pose.apply(landmarks.mean)) for pose in (ahead, last))
+        # Where a feature was is known better than where its landmark's image was; that tells only how it moves.
+        guess = np.where(tracks.followed[:, None], tracks.pixels + expected - was, expected)
+        guess[~(tracks.followed | (landmarks.depth_sd < KNOWN_DEPTH * radius)) | ~anchor.alive[c]] = np.nan
+        tracks = advance(tracks.keep(anchor.alive[c]), before, image, guess)
+        rows = np.flatnonzero(tracks.followed)
+        mask = masks[c]
+        if mask is not None:
+            column, row = np.round(tracks.pixels[rows]).astype(np.int64).T
+            rows = rows[mask[row, column]]
+        pixels = tracks.pixels[rows]
+        features = Features(pixels, camera.normalize(pixels), anchor.reference.features[c].descriptors[rows])
+        return rows, features, tracks
+
+    found = list(pool.map(run, range(len(rig))))
+    shown = [old if new is None else new for old, new in zip(anchor.images, images, strict=True)]
+    return Followed(tuple(f[0] for f in found), tuple(f[1] for f in found), [f[2] for f in found], shown)
+
+
+def with_new(followed: Followed, detected: Sequence[Features], known: Sequence[BoolArray]) -> tuple[Features, ...]:
+    """Per camera the followed features, then some of the detected ones that are not near to any of them.
+
+    Args:
+        known: per camera (n,), which of the detected ones are known to be background.
+    """
+    merged = []
+    for a, b, background in zip(followed.features, detected, known, strict=True):
+        b = b.subset(~background)
+        if len(a) and len(b):
+            b = b.subset(cKDTree(a.pixels).query(b.pixels)[0] > SAME_PX)
+        wanted = max(FEATURES - len(a), MIN_NEW)
+        if len(b) > wanted:
+            b = b.subset(np.arange(wanted) * len(b) // wanted)
+        merged.append(
+            Features(
+                np.concatenate([a.pixels, b.pixels]),
+                np.concatenate([a.normalized, b.normalized]),
+                np.concatenate([a.descriptors, b.descriptors]),
+            )
+        )
+    return tuple(merged)
