@@ -65,12 +65,14 @@ class Followed:
     Attributes:
         rows: per camera (m,) which of the anchor's features were found.
         features: per camera, those features in the frame.
+        before: per camera (m, 2) where they were in the frame before; NaN for those that were lost there.
         tracks: per camera, of all of the anchor's features.
         images: per camera, grey.
     """
 
     rows: tuple[IntArray, ...]
     features: tuple[Features, ...]
+    before: tuple[FloatArray, ...]
     tracks: list[Tracks]
     images: list[NDArray[np.uint8] | None]
 
@@ -148,9 +150,11 @@ def follow(
         features = Features(pixels, camera.normalize(pixels), anchor.reference.features[c].descriptors[rows])
         return rows, features, tracks
 
+    was_at = [tracks.pixels for tracks in anchor.tracks]
     found = list(pool.map(run, range(len(rig))))
+    before = tuple(pixels[f[0]] for pixels, f in zip(was_at, found, strict=True))
     shown = [old if new is None else new for old, new in zip(anchor.images, images, strict=True)]
-    return Followed(tuple(f[0] for f in found), tuple(f[1] for f in found), [f[2] for f in found], shown)
+    return Followed(tuple(f[0] for f in found), tuple(f[1] for f in found), before, [f[2] for f in found], shown)
 
 
 def with_new(followed: Followed, detected: Sequence[Features], known: Sequence[BoolArray]) -> tuple[Features, ...]:

@@ -17,12 +17,17 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.bundle import Bundled, Observations, bundle
 from sylpose.results import FramePose, Status
 from sylpose.rig import Rig
-from sylpose.tracking import Sightings, TrackedFrame
+from sylpose.tracked import Sightings, TrackedFrame
 
 __all__ = ["Smoothed", "Track", "smooth"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+# Landmarks seen less often than this tell next to nothing of the motion, and that with a bias: features that slide along
+# an edge or were confused are lost soon. They are used in frames that see less than so many better ones.
+OFTEN, ENOUGH = 5, 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,25 +122,27 @@ def _stacked(poses: Sequence[FramePose]) -> RigidTransform:
 
 
 def _observations(frames: Sequence[Track]) -> tuple[Observations, FloatArray]:
-    """All sights of landmarks that were seen at least twice, numbered from 0, and where each was last thought to be."""
-    frame, camera, landmark, image, place = [], [], [], [], []
-    for k, f in enumerate(frames):
-        for c, s in enumerate(f.sightings):
-            frame.append(np.full(len(s.landmark), k))
-            camera.append(np.full(len(s.landmark), c))
-            landmark.append(s.landmark)
-            image.append(s.normalized)
-            place.append(s.place)
-    every = np.concatenate(landmark)
-    _, names, counts = np.unique(every, return_inverse=True, return_counts=True)
-    often = counts[names] >= 2
-    _, names = np.unique(every[often], return_inverse=True)
+    """Sights of the landmarks worth using, numbered from 0, and where each landmark was last thought to be."""
+    counts = [[len(s.landmark) for s in f.sightings] for f in frames]
+    cameras = np.concatenate([np.repeat(np.arange(len(n)), n) for n in counts])
+    frame = np.repeat(np.arange(len(frames)), [sum(n) for n in counts])
+    every = [s for f in frames for s in f.sightings]
+    _, landmark = np.unique(np.concatenate([s.landmark for s in every]), return_inverse=True)
+    used = _worth_using(frame, landmark)
+    _, names = np.unique(landmark[used], return_inverse=True)
     places = np.zeros((int(names.max(initial=-1)) + 1, 3))
-    places[names] = np.concatenate(place)[often]  # the last one counts
-    seen = Observations(
-        np.concatenate(frame)[often], np.concatenate(camera)[often], names, np.concatenate(image)[often]
-    )
-    return seen, places
+    places[names] = np.concatenate([s.place for s in every])[used]  # the last one counts
+    image = np.concatenate([s.normalized for s in every])[used]
+    return Observations(frame[used], cameras[used], names, image), places
+
+
+def _worth_using(frame: IntArray, landmark: IntArray) -> BoolArray:
+    """(n,) which sights to use: those of landmarks seen often, and where a frame has few of these, all seen twice."""
+    sights = np.bincount(landmark)[landmark]
+    often = sights >= OFTEN
+    poor = np.bincount(frame[often], minlength=int(frame.max(initial=-1)) + 1) < ENOUGH
+    needed = np.bincount(landmark, poor[frame])[landmark] > 0
+    return np.asarray(often | ((sights >= 2) & needed))
 
 
 def _per_camera(bundled: Bundled, seen: Observations, n: int, cameras: int) -> tuple[IntArray, FloatArray]:

@@ -5,28 +5,30 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.capture import Box, FrameSet
 from sylpose.features import MAX_FEATURES, Features, detect, seen_before
 from sylpose.fit import MIN_MATCHES, Fit
 from sylpose.following import Anchor, Followed, begin_anchor, follow, greys, with_new
 from sylpose.keyframes import add_keyframe, references_of, viewpoints
-from sylpose.landmarks import learn_landmarks
 from sylpose.motion import covariance_of, motion_about, observed
+from sylpose.object_model import ObjectModel
 from sylpose.reference import Pair, Reference, inliers_of, learn_background, match_pair, triangulate
-from sylpose.region import polygon_mask, region_polygon, volume_from_boxes
+from sylpose.region import polygon_mask
 from sylpose.relocalise import relocalise
-from sylpose.results import FramePose, Status
+from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.solvers import SOLVERS, best_landmarks, first_motion, usual_age
+from sylpose.solvers import SOLVERS, first_motion, usual_age
 from sylpose.terms import object_place
+from sylpose.tracked import Sightings, TrackedFrame, solved_frame, unsolved_frame
+from sylpose.velocity import Velocity
 
-__all__ = ["METHODS", "Sightings", "TrackedFrame", "Tracker", "track"]
+__all__ = ["FEATURES", "METHODS", "Sightings", "TrackedFrame", "Tracker", "track"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -35,65 +37,29 @@ Regions = Sequence[FloatArray | None]
 # How each frame's pose is found; the first is the default.
 METHODS = tuple(SOLVERS)
 # Where the features of a frame come from; the first is the default.
-FEATURES = ("sift", "klt")
+FEATURES = ("auto", "sift", "klt")
 # Without boxes nothing is known of the object until it moves: so many frames wait for that, with their images.
 PATIENCE = 10
+# What moves by this much in the middle, pixels, is told from what does not; a smaller motion has to wait for a larger one.
+FIRST_PX = 8.0
+# Another motion with this share of the object's inliers might be the object as well.
+RIVAL_SHARE = 0.5
+AMBIGUOUS = (
+    "Without boxes, what moves most is tracked; something else moved nearly as much. Boxes or masks of the object would "
+    "tell which of the two it is."
+)
 # Margin of the object's region, as a share of its size in the image; it grows while the object is lost, up to a bound.
 REGION_GROWTH, MAX_GROWTH = 0.15, 1.0
 # Features per camera while the object may be anywhere in the image.
 START_FEATURES = 4000
-# Object points kept to follow the object's region.
-MAX_POINTS = 600
 # Features per camera of an anchor; and what of them must still be seen: this share of them and so many in all, while the
 # object has turned by less than this (radians) since.
-KLT_FEATURES, ANCHOR_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 400, 0.5, 60, np.radians(10.0)
-# The weight of constant velocity beside a frame's matches: its standard deviation is this many times the usual change of
-# velocity. It counts once so many frames in a row were solved.
-PREDICTION, STEADY_FRAMES = 5.0, 5
+KLT_FEATURES, ANCHOR_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 400, 0.4, 60, np.radians(20.0)
 # Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before found.
 SPEED_ROUNDS = 2
 # An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
 # (object's radii) is less certain than this.
 MAX_COASTING, COASTING_TURN, COASTING_SHIFT = 15, 0.35, 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Sightings:
-    """What one camera saw of the object in one frame: what a joint refinement of all poses needs.
-
-    Attributes:
-        landmark: (n,) numbers; the same feature of the object seen in several frames has the same one.
-        normalized: (n, 2) where each was seen, undistorted.
-        place: (n, 3) where it is on the object, as far as is known by then, object's frame.
-    """
-
-    landmark: NDArray[np.int64]
-    normalized: FloatArray
-    place: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class TrackedFrame:
-    """A frame's pose and what it rests on.
-
-    Attributes:
-        pose: the result.
-        frames: the images it was found in.
-        matches: per camera (previous pixels (n, 2), current pixels (n, 2)) of the inliers against the last solved
-            frame, or None.
-        regions: per camera the outline (k, 2) that was searched, pixels; None for the whole image or none of it.
-        radius: of the object, length units; NaN while unknown.
-        sightings: per camera, empty where the frame was not solved.
-        late: (C,) seconds after `frames.time` at which each camera saw it.
-    """
-
-    pose: FramePose
-    frames: FrameSet
-    matches: tuple[tuple[FloatArray, FloatArray] | None, ...]
-    regions: tuple[FloatArray | None, ...]
-    radius: float
-    sightings: tuple[Sightings, ...] = ()
-    late: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
 def track(
@@ -135,8 +101,9 @@ class Tracker:
             against the standing background.
         method: "landmarks" (places of the features on the object grow certain over time: drifts least), "epipolar"
             (epipolar geometry against several references) or "sylvester" (the paper's estimator, frame to frame).
-        features: "sift" (SIFT in every frame) or "klt" (followed from image to image, SIFT only where that does not
-            suffice: several times faster, for live use).
+        features: "sift" (SIFT in every frame, as in the paper), "klt" (followed from image to image, SIFT only where that
+            does not suffice: several times faster, and more precise) or "auto": "klt" for the method "landmarks", else
+            "sift".
         offsets: by camera, seconds by which its images are later than its time stamps say.
         workers: threads for detection and matching; None: one per core, at most one per camera.
         seed: of the outlier rejection. The same input and seed give the same output, whatever the number of threads.
@@ -158,33 +125,26 @@ class Tracker:
     ) -> None:
         if method not in SOLVERS:
             raise ValueError(f"method: {method!r} is not one of {', '.join(METHODS)}")
+        if method == "sylvester" and features == "klt":
+            raise ValueError(
+                "features: 'klt' follows features over several frames, which the method 'sylvester' has no use for"
+            )
         if features not in FEATURES:
             raise ValueError(f"features: {features!r} is not one of {', '.join(FEATURES)}")
         self.rig = rig
         self._solve = SOLVERS[method]
         self._seed = seed
         self._offsets = dict(offsets or {})
-        self._follows = features == "klt"
+        self._follows = features == "klt" or (features == "auto" and method == "landmarks")
         self._anchor: Anchor | None = None  # whose features are followed
         self._keyframes: list[Reference] = []
         self._last: Reference  # the last solved frame, from the first one on
         self._waiting: list[tuple[Reference, FrameSet]] = []
-        self._twist = np.zeros(6)  # the last motion per second, exponential coordinates in the world
-        self._unsteady = np.zeros(6)  # mean square of how its turn and the centre's velocity change from frame to frame
-        self._steady_frames = 0  # solved in a row
+        self._velocity = Velocity()
         self._missed = 0  # frames since the last solved one
         self._lost = False  # whether nothing is known any more of where it is
-        self._n_landmarks = 0
+        self._object = ObjectModel(rig, boxes, seed)
         self._surroundings = [Features.none()] * len(rig)  # the first frame's features outside the object's region
-        self._points = np.empty((0, 3))  # object's frame: the cloud whose image is the object's region
-        self._bounded = bool(boxes)  # boxes bound the object; without them its cloud grows with what is found on it
-        self._guessed = bool(boxes)  # until the first motion they are all that is known of its depth
-        self._center: FloatArray | None = None  # of the object in the first frame, world
-        self._radius = np.nan
-        if boxes:
-            self._center, points = volume_from_boxes(rig, boxes)
-            self._points = points - self._center
-            self._radius = float(np.quantile(np.linalg.norm(self._points, axis=1), 0.95))
         self._workers = workers or min(len(rig), os.cpu_count() or 1)
         self._pool = ThreadPoolExecutor(self._workers)
 
@@ -215,23 +175,25 @@ class Tracker:
         """
         if self._keyframes:
             return [self._next(frames)]
-        if self._center is not None:
-            regions = self._regions(RigidTransform.from_translation(self._center), REGION_GROWTH)
+        if self._object.center is not None:
+            regions = self._object.regions(
+                self.rig, RigidTransform.from_translation(self._object.center), REGION_GROWTH
+            )
             inside = self._masks(regions)
             features = self._detect(frames, inside)
             if sum(map(len, features)) < MIN_MATCHES:
-                return [self._unsolved(frames, Status.TOO_FEW_MATCHES, regions)]
+                return [unsolved_frame(frames, Status.TOO_FEW_MATCHES, regions, self._object.radius)]
             surroundings = self._detect(frames, [~mask for mask in inside])
-            return [self._first(frames, features, surroundings, self._center, regions)]
+            return [self._first(frames, features, surroundings, self._object.center, regions)]
         features = self._detect(frames, self._everywhere(), START_FEATURES)
         if not self._waiting and sum(map(len, features)) < MIN_MATCHES:
-            return [self._unsolved(frames, Status.TOO_FEW_MATCHES)]  # later ones need something to be compared with
+            return [unsolved_frame(frames, Status.TOO_FEW_MATCHES)]  # later ones need something to be compared with
         return self._await_motion(self._reference(frames, features), frames)
 
     def flush(self) -> list[TrackedFrame]:
         """The frames still undecided at the recording's end: the object never moved."""
         waiting, self._waiting = self._waiting, []
-        return [self._unsolved(frames, Status.NO_MOTION) for _, frames in waiting]
+        return [unsolved_frame(frames, Status.NO_MOTION) for _, frames in waiting]
 
     def _detect(
         self, frames: FrameSet, where: Sequence[BoolArray], max_features: int = MAX_FEATURES
@@ -270,11 +232,6 @@ class Tracker:
     def _known_background(self, features: Sequence[Features]) -> tuple[BoolArray, ...]:
         return tuple(map(seen_before, features, self._surroundings))
 
-    def _regions(self, world_from_object: RigidTransform, growth: float) -> list[FloatArray | None]:
-        """Where to look in each camera: the image of the object's points at a pose, with a margin."""
-        points = world_from_object.apply(self._points)
-        return [region_polygon(camera, points, growth) for camera in self.rig]
-
     # --- the start ---------------------------------------------------------------------------------------------------
 
     def _first(
@@ -292,25 +249,25 @@ class Tracker:
         first.world_from_object = RigidTransform.from_translation(center)
         first.viewpoints = viewpoints(self.rig, first.world_from_object)
         # One camera sees a turn and its mirror image alike, with hollow for round: an object is taken to be round.
-        self._learn(first, [], self.rig, bulge=0.5 if self._bounded and len(self.rig) == 1 else 0.0)
+        self._object.learn(first, [], self.rig, bulge=0.5 if self._object.bounded and len(self.rig) == 1 else 0.0)
         self._last = first
         self._keyframes.append(first)
         if self._follows:
             self._anchor = begin_anchor(first, greys(frames.images), None)
-        return self._result(first, frames, Status.FIRST, regions)
+        return solved_frame(first, frames, Status.FIRST, regions, self._object.radius)
 
     def _await_motion(self, current: Reference, frames: FrameSet) -> list[TrackedFrame]:
         """Without boxes: compare with the oldest waiting frame until something moves; that is the object."""
         if self._waiting:
             first, _ = self._waiting[0]
             fit, center, inliers = first_motion(self.rig, self._match_first(first, current), first, self._rng())
-            if fit.status is Status.OK:
+            if fit.status is Status.OK and (_moved(inliers) > FIRST_PX or len(self._waiting) == PATIENCE):
                 return self._begin(current, frames, inliers, motion_about(center, fit))
         self._waiting.append((current, frames))
         if len(self._waiting) <= PATIENCE:
             return []
         _, oldest = self._waiting.pop(0)
-        return [self._unsolved(oldest, Status.NO_MOTION)]
+        return [unsolved_frame(oldest, Status.NO_MOTION)]
 
     def _match_first(self, first: Reference, current: Reference) -> list[Pair]:
         pairs = self._pool.map(lambda c: match_pair(first, current, c), range(len(self.rig)))
@@ -321,25 +278,44 @@ class Tracker:
     ) -> list[TrackedFrame]:
         """The first motion tells where the object is; then the frames that waited for it are solved in order."""
         (first, first_frames), *others = self._waiting
-        self._center, self._radius = object_place([pair.term(self.rig, first) for pair in inliers])
-        first.world_from_object = RigidTransform.from_translation(self._center)
+        self._object.center, self._object.radius = object_place([pair.term(self.rig, first) for pair in inliers])
+        first.world_from_object = RigidTransform.from_translation(self._object.center)
         current.world_from_object = motion * first.world_from_object
-        self._add_points(np.concatenate([triangulate(pair, self.rig, current) for pair in inliers]))
+        self._object.add_points(np.concatenate([triangulate(pair, self.rig, current) for pair in inliers]))
         self._waiting = []
-        regions = self._regions(first.world_from_object, REGION_GROWTH)
+        regions = self._object.regions(self.rig, first.world_from_object, REGION_GROWTH)
         features, surroundings = self._split(first.features, regions)
-        decided = [self._first(first_frames, features, surroundings, self._center, regions)]
+        decided = [self._first(first_frames, features, surroundings, self._object.center, regions)]
         for waited, its in [*others, (current, frames)]:
             # They were searched everywhere: what was at rest with the object would seem to belong to it.
             pose = current.world_from_object if waited is current else self._predict(its.time)
-            regions = self._regions(pose, REGION_GROWTH)
+            regions = self._object.regions(self.rig, pose, REGION_GROWTH)
             features, _ = self._split(waited.features, regions)
             again = self._reference(its, features)
             found = self._solve_from(again, pose)
             decided.append(
                 self._missing(its, pose, regions) if found is None else self._accept(again, its, regions, found)
             )
+        if not any(frame.pose.measured for frame in decided[1:]):
+            # What moved was no rigid body, or not for long: wait for another motion.
+            self._keyframes, self._anchor = [], None
+            self._object, self._velocity = ObjectModel(self.rig, None, self._seed), Velocity()
+            self._missed, self._lost = 0, False
+            self._surroundings = [Features.none()] * len(self.rig)
+            self._waiting = [*others, (current, frames)]
+            return [unsolved_frame(first_frames, Status.NOT_CONSISTENT)]
+        if self._ambiguous(current, first, inliers):
+            decided[0] = replace(decided[0], note=AMBIGUOUS)
         return decided
+
+    def _ambiguous(self, current: Reference, first: Reference, inliers: Sequence[Pair]) -> bool:
+        """Whether something else moved as a rigid body too, and nearly as much of it was seen."""
+        others = []
+        for pair in self._match_first(first, current):
+            taken = [p.indices[:, 0] for p in inliers if p.camera == pair.camera]
+            others.append(pair.subset(~np.isin(pair.indices[:, 0], np.concatenate([np.empty(0, np.int64), *taken]))))
+        fit, _, found = first_motion(self.rig, others, first, self._rng())
+        return fit.status is Status.OK and sum(map(len, found)) > RIVAL_SHARE * sum(map(len, inliers))
 
     # --- every other frame -------------------------------------------------------------------------------------------
 
@@ -348,7 +324,7 @@ class Tracker:
         ahead = self._predict(frames.time)
         regions: Regions = [None] * len(self.rig)
         if not self._lost:
-            regions = self._regions(ahead, min(REGION_GROWTH * (1 + self._missed), MAX_GROWTH))
+            regions = self._object.regions(self.rig, ahead, min(REGION_GROWTH * (1 + self._missed), MAX_GROWTH))
             followed = self._follow(frames, ahead)
             if followed is not None and self._suffices(followed, ahead):
                 current = self._reference(frames, followed.features)
@@ -363,11 +339,11 @@ class Tracker:
             if found is not None:
                 return self._accept(current, frames, regions, found, followed)
         current = self._reference(frames, self._detect(frames, self._everywhere()))
-        pose = relocalise(self.rig, self._keyframes, current, self._last, self._radius, self._pool)
+        pose = relocalise(self.rig, self._keyframes, current, self._last, self._object.radius, self._pool)
         if pose is not None:
             found = self._solve_from(current, pose, None)
             if found is not None:
-                return self._accept(current, frames, self._regions(pose, REGION_GROWTH), found, None)
+                return self._accept(current, frames, self._object.regions(self.rig, pose, REGION_GROWTH), found, None)
         return self._missing(frames, ahead, regions)
 
     def _follow(self, frames: FrameSet, ahead: RigidTransform) -> Followed | None:
@@ -376,7 +352,7 @@ class Tracker:
             return None
         images = greys(frames.images)
         last = self._last.world_from_object
-        return follow(self._anchor, self.rig, last, ahead, images, frames.masks, self._radius, self._pool)
+        return follow(self._anchor, self.rig, last, ahead, images, frames.masks, self._object.radius, self._pool)
 
     def _suffices(self, followed: Followed, ahead: RigidTransform) -> bool:
         """Whether enough of the anchor's features are still seen to do without new ones."""
@@ -389,23 +365,7 @@ class Tracker:
     def _predict(self, time: float) -> RigidTransform:
         """The pose that constant velocity gives; the last pose once the object is lost."""
         last = self._last.world_from_object
-        return last if self._lost else _exp(self._twist * (time - self._last.time)) * last
-
-    def _rig_at(self, frame: Reference, twist: FloatArray) -> Rig:
-        """The rig as it would have to stand to see at the frame's time what its cameras saw each at its own instant."""
-        if not frame.late.any() or not twist.any():
-            return self.rig
-        # A speed that changes from frame to frame by as much as it is says little about an instant in between.
-        center = self._last.world_from_object.translation
-        speed = np.concatenate([twist[:3], np.cross(twist[:3], center) + twist[3:]])
-        square, change = (np.repeat(v.reshape(2, 3).sum(axis=1), 3) for v in (speed**2, self._unsteady))
-        speed = speed * square / np.maximum(square + change, 1e-300)
-        twist = np.concatenate([speed[:3], speed[3:] - np.cross(speed[:3], center)])
-        cameras = [
-            replace(camera, camera_from_world=camera.camera_from_world * _exp(twist * late))
-            for camera, late in zip(self.rig, frame.late, strict=True)
-        ]
-        return Rig(cameras, self.rig.unit)
+        return last if self._lost else self._velocity.motion(time - self._last.time) * last
 
     def _solve_from(
         self, current: Reference, guess: RigidTransform, followed: Followed | None = None, *, anew: bool = True
@@ -420,51 +380,29 @@ class Tracker:
         pairs = followed.pairs(self._anchor.reference) if followed is not None and self._anchor is not None else []
         if anew:
             pairs += self._match(current, guess, with_last=followed is None)
-        if self._guessed:
+        if self._object.guessed:
             self._learn_depth(self._keyframes[0], current, pairs)
-        center = base.world_from_object.translation
-        twist = self._twist
+        center, elapsed = base.world_from_object.translation, current.time - base.time
+        speed = self._velocity.motion(elapsed)
         for _ in range(SPEED_ROUNDS):
-            rig = self._rig_at(current, twist)
+            rig = self._velocity.rig_seen_at_once(self.rig, current.late, center, speed, elapsed)
             motion = guess * base.world_from_object.inv()
             hypothesis = (motion.rotation.as_matrix(), motion.apply(center) - center)
-            fit = self._solve(rig, pairs, current, base, self._radius, hypothesis, self._rng())
+            fit = self._solve(rig, pairs, current, base, self._object.radius, hypothesis, self._rng())
             if not fit.status.has_pose:
                 return None
-            fit = self._with_prediction(fit, current.time)
-            motion = motion_about(center, fit)
+            if not self._lost and fit.status is not Status.NO_MOTION:
+                fit = self._velocity.added_to(fit, center, elapsed)
+            speed = motion = motion_about(center, fit)
             guess = motion * base.world_from_object
             if not current.late.any():
                 break
             # The cameras' instants were accounted for with the speed of the frame before; now this frame's is known, and
             # after the first motion also the first frame's.
-            twist = motion.as_exp_coords() / max(current.time - base.time, 1e-9)
             if len(self._keyframes) == 1 and base is self._keyframes[0]:
-                self._learn(base, [], self._rig_at(base, twist))
+                its_rig = self._velocity.rig_seen_at_once(self.rig, base.late, center, speed, elapsed)
+                self._object.learn(base, [], its_rig)
         return _Found(rig, pairs, fit, motion)
-
-    def _surprise(self, rotation: FloatArray, shift: FloatArray, elapsed: float) -> FloatArray:
-        """(6,) of (w, d): by how much a motion since the last frame differs from what constant velocity gives."""
-        center = self._last.world_from_object.translation
-        ahead = _exp(self._twist * elapsed)
-        turn = (Rotation.from_matrix(rotation) * ahead.rotation.inv()).as_rotvec()
-        return np.concatenate([turn, shift - (ahead.apply(center) - center)])
-
-    def _with_prediction(self, fit: Fit, time: float) -> Fit:
-        """The fit, with what constant velocity says of the motion since the last frame as one more measurement.
-
-        It is a weak one, and matters where the matches say little: when all but a corner of the object is hidden.
-        """
-        if self._lost or fit.status is Status.NO_MOTION or self._steady_frames < STEADY_FRAMES:
-            return fit
-        elapsed = time - self._last.time
-        error = self._surprise(fit.rotation, fit.shift, elapsed)
-        spread = PREDICTION * elapsed * np.sqrt(np.repeat(self._unsteady.reshape(2, 3).sum(axis=1), 3))
-        prediction = np.diag(1.0 / np.maximum(spread, 1e-12) ** 2)
-        information = fit.information + prediction
-        step = -np.linalg.solve(information, prediction @ error)
-        rotation = (Rotation.from_rotvec(step[:3]) * Rotation.from_matrix(fit.rotation)).as_matrix()
-        return replace(fit, rotation=rotation, shift=fit.shift + step[3:], information=information)
 
     def _accept(
         self,
@@ -483,21 +421,15 @@ class Tracker:
         stood = fit.status is Status.NO_MOTION  # the pose is the base's, and so is its error
         current.covariance = base.covariance if stood else self._covariance(fit, pairs, current)
         if anew:
-            learn_background(pairs, self.rig, current, self._radius)
+            learn_background(pairs, self.rig, current, self._object.radius)
         inliers = inliers_of(pairs, fit.weights)
         ages = [pair.reference.landmarks[pair.camera].seen[pair.indices[:, 0]] for pair in inliers]
         current.age = usual_age(np.concatenate(ages))
-        self._learn(current, inliers, found.rig)
-        twist = found.motion.as_exp_coords() / max(current.time - base.time, 1e-9)
-        if not self._missed:
-            surprise = self._surprise(fit.rotation, fit.shift, current.time - base.time) / max(
-                current.time - base.time, 1e-9
-            )
-            # The first one is the motion itself.
-            if self._steady_frames:
-                self._unsteady += (surprise**2 - self._unsteady) / min(self._steady_frames, 5)
-        self._steady_frames = self._steady_frames + 1 if not self._missed else 0
-        self._twist = np.zeros(6) if self._lost else twist
+        self._object.learn(current, inliers, found.rig)
+        if self._missed:
+            self._velocity.forget(stands=self._lost)
+        if not self._lost:
+            self._velocity.learn(found.motion, base.world_from_object.translation, current.time - base.time)
         status = Status.RELOCALISED if self._missed else Status.TRACKED
         self._missed, self._lost = 0, False
         self._last = current
@@ -510,22 +442,20 @@ class Tracker:
             add_keyframe(self._keyframes, current)
             if self._follows:
                 self._anchor = begin_anchor(current, greys(frames.images), followed)
-        return self._result(current, frames, status, regions, pairs, fit, base)
+        before = None if followed is None else followed.before
+        return solved_frame(current, frames, status, regions, self._object.radius, pairs, fit, base, before)
 
     def _missing(self, frames: FrameSet, ahead: RigidTransform, regions: Regions) -> TrackedFrame:
         """A frame in which the object was not found: it is taken to have gone on as before, until that says nothing."""
         self._missed += 1
         elapsed = frames.time - self._last.time
-        covariance = self._last.covariance + np.diag(self._unsteady) * self._missed * elapsed**2
+        covariance = self._last.covariance + self._velocity.spread(elapsed, self._missed)
         sd = np.sqrt(np.diag(covariance))
-        certain = sd[:3].max() < COASTING_TURN and sd[3:].max() < COASTING_SHIFT * self._radius
+        certain = sd[:3].max() < COASTING_TURN and sd[3:].max() < COASTING_SHIFT * self._object.radius
         self._lost = self._lost or self._missed > MAX_COASTING or not certain
         if self._lost:
-            return self._unsolved(frames, Status.LOST, regions)
-        n = len(self.rig)
-        nothing = np.zeros(n, np.int64), np.full(n, np.nan)
-        pose = FramePose(frames.index, frames.time, Status.COASTING, ahead, covariance, *nothing)
-        return TrackedFrame(pose, frames, (None,) * n, tuple(regions), self._radius)
+            return unsolved_frame(frames, Status.LOST, regions, self._object.radius)
+        return unsolved_frame(frames, Status.COASTING, regions, self._object.radius, ahead, covariance)
 
     def _match(self, current: Reference, guess: RigidTransform, *, with_last: bool = True) -> list[Pair]:
         """Matches with the last solved frame and with keyframes that show the object from about the same side."""
@@ -549,16 +479,14 @@ class Tracker:
         that tells where the surface is, and the landmarks are learnt anew."""
         fit, center, inliers = first_motion(self.rig, pairs, first, self._rng())
         enough = (Status.OK,) if len(self.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
-        if observed(fit, self._radius).status not in enough:
+        if observed(fit, self._object.radius).status not in enough:
             return
         current.world_from_object = motion_about(center, fit) * first.world_from_object
         points = np.concatenate([triangulate(pair, self.rig, current) for pair in inliers])
         if len(points) < 20:
             return
-        self._guessed = False
-        _, self._radius = object_place([pair.term(self.rig, first) for pair in inliers])
-        for reference in {id(r): r for r in (*self._keyframes, self._last)}.values():
-            self._learn(reference, [], self.rig, points)
+        _, self._object.radius = object_place([pair.term(self.rig, first) for pair in inliers])
+        self._object.learn_anew((*self._keyframes, self._last), self.rig, points)
 
     def _covariance(self, fit: Fit, pairs: Sequence[Pair], current: Reference) -> FloatArray:
         """The fit's covariance plus the references' own.
@@ -574,89 +502,13 @@ class Tracker:
             both = np.kron(np.eye(2), turn)
             inherited += float(w.sum()) / total * (both @ pair.reference.covariance @ both.T)
         # What cannot be observed is bounded: no motion by half a turn or by the object's size is matched.
-        bound = np.repeat([np.pi**-2, self._radius**-2], 3)
+        bound = np.repeat([np.pi**-2, self._object.radius**-2], 3)
         return covariance_of(fit.information + np.diag(bound)) + inherited
 
-    def _learn(
-        self,
-        current: Reference,
-        inliers: Sequence[Pair],
-        rig: Rig,
-        surface: FloatArray | None = None,
-        bulge: float = 0.0,
-    ) -> None:
-        """The landmarks of a solved frame, and what they add to the object's cloud of points."""
-        landmarks = []
-        for c, camera in enumerate(rig):
-            index, known = best_landmarks(inliers, c)
-            good = known.mean[known.depth_sd < 0.1 * self._radius]
-            cloud = good if len(good) >= 20 else self._points if surface is None else surface
-            features, pose = current.features[c], current.world_from_object
-            first_id = self._n_landmarks
-            landmarks.append(
-                learn_landmarks(features, camera, pose, known, index, cloud, self._radius, bulge, first_id)
-            )
-            self._n_landmarks += len(features)
-            if current.landmarks:  # they are learnt anew, and stay themselves
-                landmarks[c].id[:] = current.landmarks[c].id
-            if not self._bounded:
-                self._add_points(good)
-        current.landmarks = tuple(landmarks)
-        # The same landmarks as the references know them: keyframes are matched again, and should know what is known by then.
-        for pair in inliers:
-            before, now = pair.reference.landmarks[pair.camera], landmarks[pair.camera]
-            before.update(pair.indices[:, 0], now.subset(pair.indices[:, 1]))
 
-    def _add_points(self, points: FloatArray) -> None:
-        points = np.concatenate([self._points, points[np.linalg.norm(points, axis=1) < 2.0 * self._radius]])
-        if len(points) > MAX_POINTS:
-            points = points[self._rng().choice(len(points), MAX_POINTS, replace=False)]
-        self._points = points
-
-    # --- results -----------------------------------------------------------------------------------------------------
-
-    def _result(
-        self,
-        current: Reference,
-        frames: FrameSet,
-        status: Status,
-        regions: Regions,
-        pairs: Sequence[Pair] = (),
-        fit: Fit | None = None,
-        base: Reference | None = None,
-    ) -> TrackedFrame:
-        n = len(self.rig)
-        used: list[set[int]] = [set() for _ in range(n)]
-        squares: list[FloatArray] = [np.empty(0)] * n
-        shown: list[tuple[FloatArray, FloatArray] | None] = [None] * n
-        for pair, w, r in zip(pairs, fit.weights if fit else (), fit.residuals if fit else (), strict=True):
-            used[pair.camera].update(pair.indices[w > 0, 1].tolist())
-            squares[pair.camera] = np.append(squares[pair.camera], r[w > 0] ** 2)
-            if pair.reference is base:
-                shown[pair.camera] = (pair.pixels_i[w > 0], pair.pixels_j[w > 0])
-        if len(self.rig) == 1 and status is not Status.FIRST:
-            status = Status.SCALE_NOT_OBSERVABLE
-        pose = FramePose(
-            frames.index,
-            frames.time,
-            status,
-            current.world_from_object,
-            current.covariance,
-            np.array([len(u) for u in used], np.int64),
-            np.array([np.sqrt(s.mean()) if len(s) else np.nan for s in squares]),
-        )
-        # What was used, and what was seen for the first time.
-        sightings = []
-        for features, landmarks, u in zip(current.features, current.landmarks, used, strict=True):
-            index = np.union1d(np.array([*u], np.int64), np.flatnonzero(landmarks.seen == 1))
-            sightings.append(Sightings(landmarks.id[index], features.normalized[index], landmarks.mean[index]))
-        return TrackedFrame(pose, frames, tuple(shown), tuple(regions), self._radius, tuple(sightings), current.late)
-
-    def _unsolved(self, frames: FrameSet, status: Status, regions: Regions | None = None) -> TrackedFrame:
-        n = len(self.rig)
-        unknown = np.full((6, 6), np.nan)
-        pose = FramePose(frames.index, frames.time, status, None, unknown, np.zeros(n, np.int64), np.full(n, np.nan))
-        return TrackedFrame(pose, frames, (None,) * n, tuple(regions or [None] * n), self._radius)
+def _moved(pairs: Sequence[Pair]) -> float:
+    """By how much matches are displaced, pixels, in the middle."""
+    return float(np.median(np.concatenate([np.linalg.norm(p.pixels_i - p.pixels_j, axis=1) for p in pairs])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -672,8 +524,3 @@ class _Found:
     def inliers(self) -> int:
         """Number of matches that agree."""
         return sum(int((w > 0).sum()) for w in self.fit.weights)
-
-
-def _exp(twist: FloatArray) -> RigidTransform:
-    """The motion along a screw, from its exponential coordinates (6,)."""
-    return RigidTransform.from_exp_coords(twist)
