@@ -17,8 +17,8 @@ __all__ = ["Features", "Matches", "detect", "match_features", "seen_before"]
 FloatArray = NDArray[np.float64]
 
 # A crop is padded by this: the object's region has a margin of its own, and SIFT's time is that of its area.
-CROP_MARGIN_PX = 4
-MAX_FEATURES = 2000
+CROP_MARGIN_PX = 8
+MAX_FEATURES = 1000
 # OpenCV's SIFT doubles the image first, and its keypoints are off by half of a pixel of that, right and down.
 # (Its enable_precise_upscale, which OpenCV has since 4.8, removes that too, but tracks less precisely.)
 SIFT_BIAS_PX = 0.25

@@ -185,8 +185,10 @@ def learn_landmarks(
     Args: see `depth_prior`.
     """
     object_from_world = world_from_object.inv()
-    distance, sd = depth_prior(features, camera, world_from_object, cloud, radius, bulge)
-    landmarks = new_landmarks(features, camera, object_from_world, distance, sd, first_id)
-    if len(index):
-        landmarks.update(index, seen_again(known, features.subset(index), camera, object_from_world))
-    return landmarks
+    unknown = np.setdiff1d(np.arange(len(features)), index)
+    young = features.subset(unknown)
+    distance, sd = depth_prior(young, camera, world_from_object, cloud, radius, bulge)
+    new = new_landmarks(young, camera, object_from_world, distance, sd, first_id)
+    old = seen_again(known, features.subset(index), camera, object_from_world)
+    order = np.argsort(np.concatenate([index, unknown]))
+    return Landmarks.concatenate([old, new]).subset(order)

@@ -12,12 +12,11 @@ from sylpose.alignment import CUTOFF, Aligned, Sights, align
 from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit
 from sylpose.landmarks import Landmarks
 from sylpose.motion import sylvester_fit
-from sylpose.reference import Pair, Reference, inliers_of, still
+from sylpose.reference import Pair, Reference, still
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.terms import object_place
 
-__all__ = ["SOLVERS", "best_landmarks", "first_motion", "usual_age"]
+__all__ = ["SOLVERS", "best_landmarks", "usual_age"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -199,24 +198,6 @@ def _fit_of(aligned: Aligned, pairs: Sequence[Pair], n_cameras: int) -> Fit:
         aligned.information,
         aligned.iterations,
     )
-
-
-def first_motion(
-    rig: Rig, pairs: Sequence[Pair], first: Reference, rng: np.random.Generator
-) -> tuple[Fit, FloatArray, list[Pair]]:
-    """The motion since a frame in which nothing but the object is going to move, from what moves.
-
-    Returns:
-        the fit, the center (3,) that it is about, and its inliers.
-    """
-    moving = [pair.subset(~still(pair)) for pair in pairs if pair.reference is first]
-    moving = [pair for pair in moving if len(pair)]
-    data = [pair.term(rig, first) for pair in moving]
-    if not data:
-        return no_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), []
-    center, radius = object_place(data)
-    fit = fit_terms(data, center, radius, [], rng)
-    return fit, center, inliers_of(moving, fit.weights)
 
 
 def best_landmarks(pairs: Sequence[Pair], camera: int) -> tuple[NDArray[np.int64], Landmarks]:

@@ -90,7 +90,8 @@ def solved_frame(
             shown[pair.camera] = (pair.pixels_i[w > 0], pair.pixels_j[w > 0])
     if before is not None:
         for c, (then, u) in enumerate(zip(before, used, strict=True)):
-            index = np.array([i for i in sorted(u) if i < len(then) and np.isfinite(then[i]).all()], np.int64)
+            index = np.array(sorted(i for i in u if i < len(then)), np.int64)
+            index = index[np.isfinite(then[index]).all(axis=1)]
             shown[c] = (then[index], current.features[c].pixels[index])
     if n == 1 and status is not Status.FIRST:
         status = Status.SCALE_NOT_OBSERVABLE

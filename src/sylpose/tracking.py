@@ -23,7 +23,8 @@ from sylpose.region import polygon_mask
 from sylpose.relocalise import relocalise
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.solvers import SOLVERS, first_motion, usual_age
+from sylpose.solvers import SOLVERS, usual_age
+from sylpose.start import displacement, first_motion, is_ambiguous
 from sylpose.terms import object_place
 from sylpose.tracked import Sightings, TrackedFrame, solved_frame, unsolved_frame
 from sylpose.velocity import Velocity
@@ -42,8 +43,6 @@ FEATURES = ("auto", "sift", "klt")
 PATIENCE = 10
 # What moves by this much in the middle, pixels, is told from what does not; a smaller motion has to wait for a larger one.
 FIRST_PX = 8.0
-# Another motion with this share of the object's inliers might be the object as well.
-RIVAL_SHARE = 0.5
 AMBIGUOUS = (
     "Without boxes, what moves most is tracked; something else moved nearly as much. Boxes or masks of the object would "
     "tell which of the two it is."
@@ -261,7 +260,7 @@ class Tracker:
         if self._waiting:
             first, _ = self._waiting[0]
             fit, center, inliers = first_motion(self.rig, self._match_first(first, current), first, self._rng())
-            if fit.status is Status.OK and (_moved(inliers) > FIRST_PX or len(self._waiting) == PATIENCE):
+            if fit.status is Status.OK and (displacement(inliers) > FIRST_PX or len(self._waiting) == PATIENCE):
                 return self._begin(current, frames, inliers, motion_about(center, fit))
         self._waiting.append((current, frames))
         if len(self._waiting) <= PATIENCE:
@@ -304,18 +303,9 @@ class Tracker:
             self._surroundings = [Features.none()] * len(self.rig)
             self._waiting = [*others, (current, frames)]
             return [unsolved_frame(first_frames, Status.NOT_CONSISTENT)]
-        if self._ambiguous(current, first, inliers):
+        if is_ambiguous(self.rig, self._match_first(first, current), first, inliers, self._rng()):
             decided[0] = replace(decided[0], note=AMBIGUOUS)
         return decided
-
-    def _ambiguous(self, current: Reference, first: Reference, inliers: Sequence[Pair]) -> bool:
-        """Whether something else moved as a rigid body too, and nearly as much of it was seen."""
-        others = []
-        for pair in self._match_first(first, current):
-            taken = [p.indices[:, 0] for p in inliers if p.camera == pair.camera]
-            others.append(pair.subset(~np.isin(pair.indices[:, 0], np.concatenate([np.empty(0, np.int64), *taken]))))
-        fit, _, found = first_motion(self.rig, others, first, self._rng())
-        return fit.status is Status.OK and sum(map(len, found)) > RIVAL_SHARE * sum(map(len, inliers))
 
     # --- every other frame -------------------------------------------------------------------------------------------
 
@@ -504,11 +494,6 @@ class Tracker:
         # What cannot be observed is bounded: no motion by half a turn or by the object's size is matched.
         bound = np.repeat([np.pi**-2, self._object.radius**-2], 3)
         return covariance_of(fit.information + np.diag(bound)) + inherited
-
-
-def _moved(pairs: Sequence[Pair]) -> float:
-    """By how much matches are displaced, pixels, in the middle."""
-    return float(np.median(np.concatenate([np.linalg.norm(p.pixels_i - p.pixels_j, axis=1) for p in pairs])))
 
 
 @dataclass(frozen=True, eq=False)
