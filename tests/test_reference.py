@@ -42,6 +42,11 @@ def moved(turn_deg: float, shift: float, steps: int = 1) -> RigidTransform:
     return RigidTransform.from_components(START.translation + along, turn * START.rotation)
 
 
+def solved(index: int, features: tuple[Features, ...], world_from_object: RigidTransform) -> Reference:
+    background = tuple(np.zeros(len(f), bool) for f in features)
+    return Reference(index, index / 30, features, background, world_from_object=world_from_object)
+
+
 def frame(rig: Rig, index: int, pose: RigidTransform) -> Reference:
     """What the cameras see of the object, N_OBJECT points that are the same in each frame, and of a room, N_ROOM."""
     features = []
@@ -53,7 +58,7 @@ def frame(rig: Rig, index: int, pose: RigidTransform) -> Reference:
         descriptors = rng.gamma(0.5, size=(len(pixels), 128)).astype(np.float32)
         descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
         features.append(Features(pixels, camera.normalize(pixels), descriptors))
-    return Reference.new(index, tuple(features), pose)
+    return solved(index, tuple(features), pose)
 
 
 def object_points(camera: int) -> FloatArray:
@@ -100,7 +105,7 @@ def test_inliers_are_what_has_weight(rig: Rig) -> None:
 
 
 def test_no_features_no_matches(rig: Rig) -> None:
-    nothing = Reference.new(1, tuple(Features.none() for _ in rig), START)
+    nothing = solved(1, tuple(Features.none() for _ in rig), START)
     for pair in (match_pair(nothing, frame(rig, 2, START), 0), match_pair(frame(rig, 2, START), nothing, 0)):
         assert len(pair) == 0
         assert pair.pixels_i.shape == pair.normalized_j.shape == (0, 2)
@@ -134,7 +139,7 @@ def test_on_the_axis_of_a_turn_the_object_stands_still_too(rig: Rig) -> None:
     pixels = camera.project(START.translation) + np.array([[0, 0], [3, 4], [150, 0]])
     features = Features(pixels, camera.normalize(pixels), np.eye(3, 128, dtype=np.float32))
     nothing = (Features.none(), Features.none())
-    reference, current = Reference.new(0, (features, *nothing), START), Reference.new(1, (features, *nothing), end)
+    reference, current = solved(0, (features, *nothing), START), solved(1, (features, *nothing), end)
     learn_background([match_pair(reference, current, 0)], rig, current, RADIUS)
     assert reference.background[0].tolist() == current.background[0].tolist() == [False, False, True]
 
@@ -146,7 +151,7 @@ def test_known_background_is_not_matched_and_passed_on(rig: Rig) -> None:
     pixels = current.features[1].pixels.copy()
     pixels[N_OBJECT] += 30
     features = replace(current.features[1], pixels=pixels)
-    current = Reference.new(1, (current.features[0], features, current.features[2]), current.world_from_object)
+    current = solved(1, (current.features[0], features, current.features[2]), current.world_from_object)
     pair = match_pair(reference, current, 1)
     assert pair.indices[:, 0].tolist() == list(range(N_OBJECT))
     assert np.flatnonzero(current.background[1]).tolist() == list(range(N_OBJECT + 1, N_OBJECT + N_ROOM))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -16,9 +17,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.report import overlay, plots
+from sylpose.report import drawing, overlay, plots
 from sylpose.report.files import TrajectoryWriter, output_folder, read_trajectory, read_tum, write_tum
-from sylpose.report.overlay import OverlayWriter
+from sylpose.report.overlay import OverlayWriter, Shown
 from sylpose.report.plots import plot_trajectory, summary
 from sylpose.report.rigview import describe_rig, meeting_point, plot_rig, view_axes
 from sylpose.results import FramePose, Status, Trajectory
@@ -34,7 +35,7 @@ NAMES = ("left", "right, upper")
 def frame_pose(
     index: int,
     pose: RigidTransform | None,
-    status: Status = Status.OK,
+    status: Status = Status.TRACKED,
     sigma: float = 0.01,
     cameras: int = 2,
     time: float | None = None,
@@ -58,7 +59,7 @@ def turning(n: int, degrees: float, axis: str = "y", cameras: int = 2) -> Trajec
         pose = RigidTransform.from_components(
             [0.01 * i, 0, 2], Rotation.from_rotvec(np.radians(degrees) * i * np.eye(3)["xyz".index(axis)])
         )
-        status = Status.SCALE_NOT_OBSERVABLE if i == 3 else Status.OK
+        status = Status.SCALE_NOT_OBSERVABLE if i == 3 else Status.TRACKED
         frame = frame_pose(i, pose, status, cameras=cameras)
         if i == 2:
             frame = frame_pose(i, None, Status.TOO_FEW_MATCHES, cameras=cameras)
@@ -284,6 +285,15 @@ def test_summary_says_what_is_known() -> None:
     assert "how far it moved is not observable" in summary(turning(4, 10))
 
 
+def test_coasting_is_told_from_measuring(tmp_path: Path) -> None:
+    frames = list(turning(10, 10))
+    frames[5:7] = [replace(frame, status=Status.COASTING) for frame in frames[4:6]]
+    trajectory = Trajectory(frames, NAMES, "m")
+    assert "coasting in 2" in summary(trajectory)
+    plot_trajectory(trajectory, tmp_path / "report.png")
+    assert cv2.imread(str(tmp_path / "report.png")) is not None
+
+
 @pytest.mark.parametrize(("axis", "column"), [("y", 0), ("x", 1), ("z", 2)])
 def test_plotted_angles_have_no_jumps(axis: str, column: int) -> None:
     trajectory = turning(90, 7.3, axis)
@@ -300,7 +310,7 @@ def test_bands_of_pan_tilt_roll_agree_with_sampling() -> None:
     covariance[:3, :3] = 1e-6 * half @ half.T
     rotation = Rotation.from_euler("YXZ", [0.7, -1.1, 2.0])
     pose = FramePose(
-        1, 0.0, Status.OK, RigidTransform.from_rotation(rotation), covariance, np.array([9]), np.array([0.1])
+        1, 0.0, Status.TRACKED, RigidTransform.from_rotation(rotation), covariance, np.array([9]), np.array([0.1])
     )
     w = rng.multivariate_normal(np.zeros(3), covariance[:3, :3], size=20_000)
     sampled = (Rotation.from_rotvec(w) * rotation).as_euler("YXZ").std(axis=0)
@@ -379,7 +389,7 @@ def test_axes_are_drawn_where_the_camera_sees_them(tmp_path: Path) -> None:
         picture = writer.draw(blank(rig, 0), pose, [None], 0.5)
         bar = writer._layout.bar
     scale = picture.shape[1] / 400
-    for axis, color in zip(np.eye(3), overlay.AXIS_COLORS, strict=True):
+    for axis, color in zip(np.eye(3), drawing.AXIS_COLORS, strict=True):
         pixel = camera.project(pose.position + turn.apply(0.25 * axis))[0]
         x, y = np.round((pixel + 0.5) * scale - 0.5).astype(int)
         np.testing.assert_array_equal(picture[bar + y, x], color)
@@ -396,7 +406,37 @@ def test_axes_are_not_drawn_where_the_lens_model_folds_back() -> None:
     points = np.array([[0.1, 0, 1], [1.7, 0, 1], [0, 0, -1]])
     assert np.isfinite(camera.project(points)[1]).all()  # inside the image, by the polynomial
     assert 0 < camera.project(points)[1, 0] < 640
-    np.testing.assert_array_equal(np.isfinite(overlay._project(camera, points))[:, 0], [True, False, False])
+    np.testing.assert_array_equal(np.isfinite(drawing.project(camera, points))[:, 0], [True, False, False])
+
+
+def n_painted(picture: NDArray[np.uint8], color: tuple[int, int, int], near: int = 0) -> int:
+    return int((np.abs(picture.astype(int) - color) <= near).all(axis=2).sum())
+
+
+def test_coasting_axes_are_pale_and_dashed(tmp_path: Path) -> None:
+    rig = ring(3, 1)
+    with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
+        measured = writer.draw(blank(rig), CENTERED, [None] * 3, 0.3)
+        coasting = writer.draw(blank(rig), replace(CENTERED, status=Status.COASTING), [None] * 3, 0.3)
+    for color in drawing.AXIS_COLORS:
+        assert n_painted(measured, color) > 50 > n_painted(coasting, color)
+    assert not np.array_equal(coasting, writer.draw(blank(rig), frame_pose(4, None, cameras=3), [None] * 3, 0.3))
+
+
+def test_overlay_of_several_objects(tmp_path: Path) -> None:
+    rig = ring(3, 1)
+    region = [np.array([[10.0, 10], [90, 10], [50, 80]])] * 3
+    lost = frame_pose(4, None, Status.LOST, cameras=3)
+    mug = Shown("mug", CENTERED, [None] * 3, 0.3, region, overlay.object_color(0))
+    objects = [mug, Shown("tray", lost, [None] * 3, np.nan, color=overlay.object_color(1))]
+    with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
+        picture = writer.draw_objects(blank(rig), objects)
+        writer.write_objects(blank(rig), objects)
+        with pytest.raises(ValueError, match="needs 3 matches"):
+            writer.write_objects(blank(rig), [replace(objects[0], matches=[])])
+    assert n_painted(picture, overlay.OBJECT_COLORS[0], 60) > 50
+    assert n_painted(picture, overlay.BAD, 60) > 10
+    assert len(overlay_frames(tmp_path / "o.mp4")) == 1
 
 
 def test_a_pose_behind_or_on_a_camera_draws_nothing_and_does_no_harm(tmp_path: Path) -> None:

@@ -5,11 +5,26 @@ from __future__ import annotations
 import gc
 import weakref
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
+from clips import (
+    FRAMES,
+    HALF_DEGREE,
+    SIZE,
+    Clip,
+    Images,
+    Masks,
+    assert_valid,
+    errors,
+    frame_sets,
+    inliers,
+    normalised_squares,
+    rested,
+    statuses,
+    turning_clip,
+)
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
@@ -18,111 +33,18 @@ from sylpose.reference import Reference
 from sylpose.region import polygon_mask, region_polygon
 from sylpose.results import Status
 from sylpose.rig import Camera, Rig
-from sylpose.simulate import Actor, DemoTruth, Scene, arc, demo_scene, demo_truth, render_frames
+from sylpose.simulate import arc, demo_scene
 from sylpose.tracking import METHODS, TrackedFrame, Tracker, track
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
-Images = Sequence[Image | None]
-Masks = Sequence[NDArray[np.bool_] | None]
-
-SIZE = (320, 240)
-FRAMES = 8
-HALF_DEGREE = 0.5
-BLACK = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
-
-
-@dataclass(frozen=True, eq=False)
-class Clip:
-    """A rendered sequence, in memory, and the truth about it."""
-
-    rig: Rig
-    truth: DemoTruth
-    images: list[tuple[Image, ...]]
-
-    @classmethod
-    def render(cls, scene: Scene) -> Clip:
-        return cls(scene.rig, demo_truth(scene), list(render_frames(scene)))
-
-    @property
-    def boxes(self) -> dict[str, Box]:
-        return {name: Box(*box) for name, box in self.truth.boxes.items()}
-
-    def frames(self) -> list[FrameSet]:
-        return frame_sets(self.images)
-
-
-def frame_sets(images: Sequence[Images], masks: Sequence[Masks] | None = None) -> list[FrameSet]:
-    n = len(images[0])
-    return [
-        FrameSet(k, k / 30, (k / 30,) * n, tuple(frame), (None,) * n if masks is None else tuple(masks[k]))
-        for k, frame in enumerate(images)
-    ]
-
-
-def rested(scene: Scene, rest: int, moving: int) -> Scene:
-    """The scene with its object at rest for some frames first."""
-    actor = scene.actors[0]
-    path = actor.path
-    return replace(scene, frames=rest + moving, actors=(Actor(actor.body, lambda f: path(max(f - rest, 0.0))),))
 
 
 @pytest.fixture(scope="module")
 def clip() -> Clip:
-    """Eight frames of three cameras: a turn by 20 degrees."""
-    return Clip.render(demo_scene(frames=FRAMES, turn_deg=20, size=SIZE, n_cameras=3))
+    return turning_clip()
 
 
 @pytest.fixture(scope="module")
 def tracked(clip: Clip) -> list[TrackedFrame]:
     return list(track(clip.frames(), clip.rig, clip.boxes))
-
-
-def errors(tracked: Iterable[TrackedFrame], truth: DemoTruth) -> FloatArray:
-    """(n, 2) of the frames with a pose, but the first: degrees, and millimetres of the object's centre, of the motion
-    since the first of them."""
-    poses = [(f.pose.index, f.pose.world_from_object) for f in tracked if f.pose.world_from_object is not None]
-    start, first = poses[0]
-    assert first is not None
-    center = truth.world_from_object[start].translation
-    rows = []
-    for index, pose in poses[1:]:
-        found = pose * first.inv()
-        true = truth.world_from_object[index] * truth.world_from_object[start].inv()
-        turn = np.rad2deg((found.rotation * true.rotation.inv()).magnitude())
-        rows.append((turn, 1e3 * np.linalg.norm(found.apply(center) - true.apply(center))))
-    return np.array(rows).reshape(-1, 2)
-
-
-def statuses(tracked: Iterable[TrackedFrame]) -> list[Status]:
-    return [f.pose.status for f in tracked]
-
-
-def inliers(tracked: Iterable[TrackedFrame]) -> NDArray[np.int64]:
-    return np.array([f.pose.inliers for f in tracked])
-
-
-def assert_valid(tracked: Sequence[TrackedFrame]) -> None:
-    """What must hold for any result."""
-    for f in tracked:
-        pose = f.pose
-        assert pose.inliers.shape == pose.residuals.shape == (len(f.frames.images),)
-        if pose.world_from_object is None:
-            assert pose.status not in (Status.TRACKED, Status.FIRST)
-            assert not pose.inliers.any()
-            assert np.isnan(pose.covariance).all()
-            continue
-        assert pose.status.has_pose
-        assert np.isfinite(pose.world_from_object.as_matrix()).all()
-        assert np.isfinite(pose.covariance).all()
-        np.testing.assert_allclose(pose.covariance, pose.covariance.T, rtol=1e-6, atol=1e-15)
-        scale = np.sqrt(np.maximum(np.diag(pose.covariance), 1e-300))
-        if pose.status is Status.FIRST:
-            assert not pose.covariance.any()
-        else:
-            assert np.linalg.eigvalsh(pose.covariance / np.outer(scale, scale)).min() > 0
-            assert (pose.residuals[pose.inliers > 0] < 5).all()
-            assert np.isnan(pose.residuals[pose.inliers == 0]).all()
 
 
 # --- the main job
@@ -131,7 +53,7 @@ def assert_valid(tracked: Sequence[TrackedFrame]) -> None:
 def test_with_boxes(clip: Clip, tracked: list[TrackedFrame]) -> None:
     assert [f.pose.index for f in tracked] == list(range(FRAMES))
     np.testing.assert_allclose([f.pose.time for f in tracked], clip.truth.times)
-    assert statuses(tracked) == [Status.FIRST] + [Status.OK] * (FRAMES - 1)
+    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * (FRAMES - 1)
     error = errors(tracked, clip.truth)
     assert error[:, 0].max() < HALF_DEGREE
     assert error[:, 1].max() < 1.5
@@ -141,7 +63,7 @@ def test_with_boxes(clip: Clip, tracked: list[TrackedFrame]) -> None:
 
 def test_without_boxes(clip: Clip) -> None:
     tracked = list(track(clip.frames(), clip.rig))
-    assert statuses(tracked) == [Status.FIRST] + [Status.OK] * (FRAMES - 1)
+    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * (FRAMES - 1)
     error = errors(tracked, clip.truth)
     assert error[:, 0].max() < HALF_DEGREE
     assert error[:, 1].max() < 1.5
@@ -179,7 +101,7 @@ def test_a_later_start_and_skipped_frames(clip: Clip) -> None:
     frames = clip.frames()[1::2]
     tracked = list(track(frames, clip.rig))
     assert [f.pose.index for f in tracked] == [1, 3, 5, 7]
-    assert statuses(tracked) == [Status.FIRST] + [Status.OK] * 3
+    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * 3
     assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
 
 
@@ -193,14 +115,14 @@ def test_cameras_of_different_sizes() -> None:
     clip = Clip.render(demo_scene(rig=Rig(cameras), frames=6, turn_deg=18))
     for boxes in (clip.boxes, None):
         tracked = list(track(clip.frames(), clip.rig, boxes))
-        assert statuses(tracked) == [Status.FIRST] + [Status.OK] * 5
+        assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * 5
         assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_runs(clip: Clip, method: str) -> None:
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, method=method))
-    assert statuses(tracked) == [Status.FIRST] + [Status.OK] * (FRAMES - 1)
+    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * (FRAMES - 1)
     assert_valid(tracked)
     error = errors(tracked, clip.truth)
     if method == "sylvester":  # it takes the object for flat (docs/method.md, "What it is worth") and drifts
@@ -232,7 +154,7 @@ def test_an_object_at_rest_at_first(n_cameras: int) -> None:
     assert sum(counts) == rest + moving
     tracked = [f for g in given for f in g]
     assert [f.pose.index for f in tracked] == list(range(rest + moving))
-    assert statuses(tracked) == [Status.FIRST] + [Status.OK] * (rest + moving - 1)
+    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * (rest + moving - 1)
     error = errors(tracked, clip.truth)
     assert error[: rest - 1, 0].max() < 0.1
     assert error[: rest - 1, 1].max() < 0.3
@@ -253,7 +175,7 @@ def test_an_object_at_rest_for_long(clip: Clip, monkeypatch: pytest.MonkeyPatch)
     # Memory is bounded: the first ones are given up.
     first = statuses(tracked).index(Status.FIRST)
     assert 2 <= first <= 5
-    assert statuses(tracked) == [Status.NO_MOTION] * first + [Status.FIRST] + [Status.OK] * (8 - first)
+    assert statuses(tracked) == [Status.NO_MOTION] * first + [Status.FIRST] + [Status.TRACKED] * (8 - first)
     assert all(f.pose.world_from_object is None for f in tracked[:first])
     found = tracked[-1].pose.world_from_object
     assert found is not None
@@ -285,104 +207,6 @@ def test_an_object_that_pauses(clip: Clip, method: str) -> None:
     assert_valid(tracked)
 
 
-# --- cameras that fail
-
-
-def test_a_camera_without_some_frames(clip: Clip) -> None:
-    images = [(a, None if k in (0, 4, 5) else b, c) for k, (a, b, c) in enumerate(clip.images)]
-    for boxes in ({k: v for k, v in clip.boxes.items() if k != "cam_1"}, None):
-        tracked = list(track(frame_sets(images), clip.rig, boxes))
-        assert statuses(tracked) == [Status.FIRST] + [Status.OK] * (FRAMES - 1)
-        error = errors(tracked, clip.truth)
-        assert error[:, 0].max() < HALF_DEGREE
-        assert error[:, 1].max() < 2.5
-        seen = inliers(tracked)[:, 1]
-        assert not seen[[0, 4, 5]].any()
-        assert (seen[[3, 7]] > 20).all()
-        assert_valid(tracked)
-
-
-def test_a_black_camera(clip: Clip) -> None:
-    images = [(a, np.zeros_like(b), c) for a, b, c in clip.images]
-    tracked = list(track(frame_sets(images), clip.rig, clip.boxes))
-    assert statuses(tracked) == [Status.FIRST] + [Status.OK] * (FRAMES - 1)
-    assert errors(tracked, clip.truth)[:, 0].max() < 0.8
-    assert not inliers(tracked)[:, 1].any()
-    assert_valid(tracked)
-
-
-def test_a_camera_that_shows_something_else(clip: Clip) -> None:
-    rng = np.random.default_rng(0)
-    noise = [rng.integers(0, 255, (240, 320, 3)).astype(np.uint8) for _ in clip.images]
-    images = [(a, n, c) for (a, _, c), n in zip(clip.images, noise, strict=True)]
-    tracked = list(track(frame_sets(images), clip.rig, clip.boxes))
-    assert statuses(tracked) == [Status.FIRST] + [Status.OK] * (FRAMES - 1)
-    assert errors(tracked, clip.truth)[:, 0].max() < 0.8
-
-
-@pytest.mark.parametrize("method", ["landmarks", "epipolar"])
-def test_all_cameras_gone_for_a_while(clip: Clip, method: str) -> None:
-    gone = (4, 5)
-    images: list[Images] = [(None,) * 3 if k in gone else frame for k, frame in enumerate(clip.images)]
-    tracked = list(track(frame_sets(images), clip.rig, clip.boxes, method=method))
-    expected = [Status.TOO_FEW_MATCHES if k in gone else Status.OK for k in range(1, FRAMES)]
-    assert statuses(tracked) == [Status.FIRST, *expected]
-    assert all(tracked[k].pose.world_from_object is None for k in gone)
-    assert_valid(tracked)
-    assert np.median(errors(tracked, clip.truth)[:, 0]) < HALF_DEGREE
-
-
-@pytest.mark.parametrize(("nothing", "with_boxes"), [(None, True), (None, False), (BLACK, True)])
-def test_nothing_to_be_seen_at_first(clip: Clip, nothing: Image | None, with_boxes: bool) -> None:
-    images: list[Images] = [(nothing,) * 3, (nothing,) * 3, *clip.images[:4]]
-    tracked = list(track(frame_sets(images), clip.rig, clip.boxes if with_boxes else None))
-    assert statuses(tracked) == [Status.TOO_FEW_MATCHES] * 2 + [Status.FIRST] + [Status.OK] * 3
-    found = [replace(f, pose=replace(f.pose, index=f.pose.index - 2)) for f in tracked[2:]]
-    assert errors(found, clip.truth)[:, 0].max() < HALF_DEGREE
-
-
-def test_nothing_to_be_seen_at_all(clip: Clip) -> None:
-    images: list[Images] = [(None,) * 3] * 3
-    for boxes in (clip.boxes, None):
-        tracked = list(track(frame_sets(images), clip.rig, boxes))
-        assert len(tracked) == 3
-        assert all(f.pose.world_from_object is None for f in tracked)
-        assert_valid(tracked)
-
-
-def test_an_object_that_comes_into_view_of_a_camera(clip: Clip) -> None:
-    """cam_1's image is cut off so that the object is outside of it at first, and moves in."""
-    camera = clip.rig.cameras[1]
-    places = [camera.project(clip.truth.world_from_object[k].apply(clip.truth.vertices))[:, 0] for k in range(FRAMES)]
-    to_the_right = places[-1].max() > places[0].max()
-    cut = int(np.ceil(places[0].max() if to_the_right else places[0].min()))
-    part = slice(cut, None) if to_the_right else slice(None, cut)
-    matrix = camera.matrix.copy()
-    matrix[0, 2] -= cut if to_the_right else 0
-    size = (SIZE[0] - cut if to_the_right else cut, SIZE[1])
-    narrow = Camera(camera.name, size, matrix, camera.distortion, camera.camera_from_world)
-    rig = Rig([clip.rig.cameras[0], narrow, clip.rig.cameras[2]])
-    images = [(a, np.ascontiguousarray(b[:, part]), c) for a, b, c in clip.images]
-    boxes = {name: box for name, box in clip.boxes.items() if name != narrow.name}
-    tracked = list(track(frame_sets(images), rig, boxes))
-    assert statuses(tracked) == [Status.FIRST] + [Status.OK] * (FRAMES - 1)
-    assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
-    seen = inliers(tracked)[:, 1]
-    assert seen[1] < 5
-    assert seen[-1] > 10
-
-
-@pytest.mark.parametrize("names", [("cam_0", "cam_2"), ("cam_0", "cam_1")])
-def test_two_cameras_with_boxes(clip: Clip, names: tuple[str, str]) -> None:
-    """What two boxes allow is much deeper than the object, which must not be taken at face value."""
-    rig = clip.rig.subset(names)
-    picked = [clip.rig.names.index(name) for name in names]
-    images = [tuple(frame[c] for c in picked) for frame in clip.images[:5]]
-    tracked = list(track(frame_sets(images), rig, {name: clip.boxes[name] for name in names}))
-    assert statuses(tracked) == [Status.FIRST] + [Status.OK] * 4
-    assert errors(tracked, clip.truth)[:, 0].max() < (0.5 if names[1] == "cam_2" else 2)
-
-
 # --- masks
 
 
@@ -406,7 +230,7 @@ def test_masks_bound_what_is_looked_at(clip: Clip) -> None:
         covered[:, : int(np.flatnonzero(covered.any(axis=0)).mean())] = False
         masks[k] = [covered, *frame[1:]]
     tracked = list(track(frame_sets(clip.images, masks), clip.rig))
-    assert statuses(tracked) == [Status.FIRST] + [Status.OK] * (FRAMES - 1)
+    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * (FRAMES - 1)
     assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
     for f, frame in zip(tracked[1:], masks[1:], strict=True):
         for matches, mask in zip(f.matches, frame, strict=True):
@@ -463,7 +287,7 @@ def test_one_camera_by_other_methods(monocular: Clip, method: str) -> None:
 def test_one_camera_loses_sight(monocular: Clip) -> None:
     images: list[Images] = [(None,) if k == 3 else frame for k, frame in enumerate(monocular.images)]
     tracked = list(track(frame_sets(images), monocular.rig, monocular.boxes))
-    assert statuses(tracked)[3] is Status.TOO_FEW_MATCHES
+    assert statuses(tracked)[3] is Status.COASTING
     assert statuses(tracked)[4:] == [Status.SCALE_NOT_OBSERVABLE] * 2
 
 
@@ -504,16 +328,7 @@ def test_uncertainty_grows_and_covers_the_error(clip: Clip, tracked: list[Tracke
     assert spread[-1] > spread[1]
     assert (spread[2:] > 0.8 * spread[1:-1]).all()
     assert np.rad2deg(spread[-1]) < 2
-    first = tracked[0].pose.world_from_object
-    assert first is not None
-    for f in tracked[1:]:
-        found = f.pose.world_from_object
-        assert found is not None
-        true = clip.truth.world_from_object[f.pose.index] * clip.truth.world_from_object[0].inv() * first
-        w = (found.rotation * true.rotation.inv()).as_rotvec()
-        error = np.concatenate([w, found.translation - true.translation])
-        # Normalised squares average 6 where the covariance is right.
-        assert error @ np.linalg.solve(f.pose.covariance, error) < 60
+    assert normalised_squares(tracked, clip.truth).max() < 60
 
 
 def test_fewer_cameras_know_less(clip: Clip, tracked: list[TrackedFrame]) -> None:
@@ -527,8 +342,8 @@ def test_fewer_cameras_know_less(clip: Clip, tracked: list[TrackedFrame]) -> Non
 
 
 def test_images_are_let_go_and_references_are_bounded(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    lags = (1, 2, 4)
-    monkeypatch.setattr("sylpose.tracking.LAGS", lags)
+    monkeypatch.setattr("sylpose.keyframes.MAX_KEYFRAMES", 3)
+    monkeypatch.setattr("sylpose.keyframes.NEW_TURN", np.radians(1.0))  # nearly every frame is a keyframe
     alive: list[list[weakref.ref[Any]]] = []
     references = []
 
@@ -547,8 +362,9 @@ def test_images_are_let_go_and_references_are_bounded(clip: Clip, monkeypatch: p
     for f in track(frames(), clip.rig, clip.boxes):
         del f
     assert len(alive) == 2 * FRAMES - 4
-    assert max(references) <= max(lags) + 2
-    assert references[-1] >= max(lags)
+    # The keyframes, the last frame and the current one.
+    assert max(references) <= 3 + 2
+    assert references[-1] >= 3
 
 
 def test_frames_that_wait_for_motion_are_few(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -611,7 +427,7 @@ def test_results_come_as_the_frames_do(clip: Clip) -> None:
         for f in track(frames(), clip.rig, clip.boxes):
             found.append(f)
             assert f.pose.index == taken - 1
-    assert statuses(found) == [Status.FIRST] + [Status.OK] * 3
+    assert statuses(found) == [Status.FIRST] + [Status.TRACKED] * 3
 
 
 def test_poses_are_rigid_transforms(tracked: list[TrackedFrame]) -> None:

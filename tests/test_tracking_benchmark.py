@@ -113,7 +113,7 @@ def test_a_recording_is_a_session_with_its_truth(tmp_path: Path) -> None:
     assert session.timeline.frames.tolist() == [[0, 0], [1, -1], [-1, 1], [2, 2]]
     assert session.timeline.stamps[0] == pytest.approx([-0.01, 0.01])
     assert [sum(image is not None for image in frames.images) for frames in session.frames()] == [2, 1, 1, 2]
-    assert (tmp_path / "offsets.toml").read_text() == "cam_0 = -0.01\ncam_1 = 0.01\n"
+    assert (tmp_path / "true_offsets.toml").read_text() == "cam_0 = -0.01\ncam_1 = 0.01\n"
     for k, name in enumerate(recording.objects):
         times, poses = read_tum(tmp_path / f"groundtruth_{name}.tum")
         assert times == pytest.approx(np.arange(4) / 30)

@@ -8,17 +8,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ParamSpec
 
-import numpy as np
 import typer
 
 from sylpose import __version__
-from sylpose.tracking import METHODS
+from sylpose.app.choices import FEATURES, METHODS
 
 if TYPE_CHECKING:
     from sylpose.app.run import Run
     from sylpose.capture import Session
+    from sylpose.capture.live import LiveSession
 
-# Everything else is imported where it is used: matplotlib alone takes a second, which `--help` does not need.
+# Everything else is imported where it is used: the tracker and matplotlib take a second each, which `--help` does not need.
 
 __all__ = ["main"]
 
@@ -68,23 +68,25 @@ def spoken(command: Callable[P, None]) -> Callable[P, None]:
         except KeyboardInterrupt as interrupt:
             _say(str(interrupt) or "interrupted")
             raise typer.Exit(INTERRUPTED) from None
-        except (np.linalg.LinAlgError, BrokenPipeError):  # a bug; nobody reads any more, which Typer handles
+        except BrokenPipeError:  # nobody reads any more, which Typer handles
             raise
         except (ValueError, OSError) as error:
+            if type(error).__name__ == "LinAlgError":  # a bug
+                raise
             _say(_sentence(error))
             raise typer.Exit(WRONG_INPUT) from None
 
     return run
 
 
+def _say(sentence: str) -> None:
+    print(f"sylpose: {sentence}", file=sys.stderr)
+
+
 def _sentence(error: ValueError | OSError) -> str:
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror.lower()}"
     return str(error) or type(error).__name__
-
-
-def _say(sentence: str) -> None:
-    print(f"sylpose: {sentence}", file=sys.stderr)
 
 
 SessionPath = Annotated[
@@ -128,10 +130,13 @@ def _root(
     pass
 
 
-def _method(name: str) -> str:
-    if name not in METHODS:
-        raise typer.BadParameter(f"{name!r} is not one of {', '.join(METHODS)}")
-    return name
+def _one_of(choices: Sequence[str]) -> Callable[[str], str]:
+    def check(name: str) -> str:
+        if name not in choices:
+            raise typer.BadParameter(f"{name!r} is not one of {', '.join(choices)}")
+        return name
+
+    return check
 
 
 @app.command(
@@ -149,94 +154,131 @@ def track(
     masks: MasksFolder = None,
     offset: Offsets = None,
     out: OutFolder = None,
+    offsets: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Seconds by which cameras are late, in TOML; SESSION/offsets.toml if there is one."
+        ),
+    ] = None,
     method: Annotated[
-        str, typer.Option(metavar="|".join(METHODS), help="How the motion is estimated.", callback=_method)
+        str, typer.Option(metavar="|".join(METHODS), help="How the motion is estimated.", callback=_one_of(METHODS))
     ] = METHODS[0],
+    features: Annotated[
+        str,
+        typer.Option(
+            metavar="|".join(FEATURES),
+            help="SIFT in every frame, or KLT between SIFT keyframes: faster and finer; auto: KLT for the method landmarks.",
+            callback=_one_of(FEATURES),
+        ),
+    ] = FEATURES[0],
+    smooth: Annotated[bool, typer.Option("--smooth", help="Refine all poses together at the end.")] = False,
     start: Annotated[int, typer.Option(metavar="N", help="The first frame to track.")] = 0,
     stop: Annotated[int | None, typer.Option(metavar="N", help="The frame to stop before; all by default.")] = None,
     every: Annotated[int, typer.Option(metavar="N", help="Track every n-th frame.")] = 1,
     overlay: Annotated[
         bool, typer.Option("--overlay/--no-overlay", help="Write overlay.mp4: poses and images.")
     ] = True,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with an interrupted run; give the same options as then.")
+    ] = False,
+    checkpoint: Annotated[
+        float, typer.Option(metavar="SEC", min=0, help="Time between two checkpoints, from which --resume can go on.")
+    ] = 20.0,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="SESSION has folders of images that a recorder is still filling.")
+    ] = False,
+    lossless: Annotated[
+        bool, typer.Option("--lossless", help="With --follow: track all frames, however late.")
+    ] = False,
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="With --follow: frames per second; for times in seconds.")
+    ] = None,
     seed: Seed = 0,
 ) -> None:
-    """The object's pose in every frame of a recording.
+    """The object's pose in every frame of a recording, or of live cameras (a folder with live.toml).
 
     Writes trajectory.tum (time tx ty tz qx qy qz qw), trajectory.csv (with angles, uncertainty, status, inliers and
-    residuals), report.png and overlay.mp4 into OUT. Without boxes and masks, the object is what moves against the
-    standing background.
+    residuals), report.png and overlay.mp4 into OUT; of several objects, each into a folder of its own. Without boxes and
+    masks, the object is what moves against the standing background.
     """
+    from sylpose.app.aloud import track_aloud, why_nothing
+    from sylpose.app.offsets import find_offsets
+    from sylpose.app.run import has_ended, output_path
+    from sylpose.capture.live import is_live
+
+    opened: Session | LiveSession
+    if follow or is_live(session):
+        opened = _open_live(session, calibration, boxes, masks, offset, resume, follow, lossless, rate)
+    else:
+        opened = _open(session, calibration, boxes, masks, offset, lossless, rate)
+    if resume and has_ended(opened, out):
+        print(f"{output_path(opened, out)}: the run there has ended; there is nothing to resume")
+        return
+    run = track_aloud(
+        opened,
+        out,
+        method=method,
+        features=features,
+        offsets=find_offsets(opened, offsets),
+        smooth=smooth,
+        start=start,
+        stop=stop,
+        every=every,
+        overlay=overlay,
+        resume=resume,
+        checkpoint_seconds=checkpoint,
+        seed=seed,
+    )
+    _refuse_nothing(why_nothing(opened, run), run)
+
+
+def _refuse_nothing(missing: list[str], run: Run) -> None:
+    """Says which objects were not found; when it is all of them, that is a failure."""
+    for sentence in missing:
+        _say(sentence)
+    if len(missing) == len(run.trajectories):
+        raise typer.Exit(FAILED)
+
+
+def _open(
+    path: Path,
+    calibration: Path | None,
+    boxes: Path | None,
+    masks: Path | None,
+    offset: list[str] | None,
+    lossless: bool,
+    rate: float | None,
+) -> Session:
     from sylpose.capture import open_session
 
-    opened = open_session(session, calibration=calibration, boxes=boxes, masks=masks, offsets=_offsets(offset))
-    _track(opened, out, method=method, start=start, stop=stop, every=every, overlay=overlay, seed=seed)
+    for option, value in (("--lossless", lossless), ("--rate", rate)):
+        if value:
+            raise ValueError(f"{option} is only for growing folders, with --follow")
+    return open_session(path, calibration=calibration, boxes=boxes, masks=masks, offsets=_offsets(offset))
 
 
-def _track(
-    session: Session,
-    out: Path | None,
-    *,
-    method: str = METHODS[0],
-    start: int = 0,
-    stop: int | None = None,
-    every: int = 1,
-    overlay: bool = True,
-    seed: int = 0,
-) -> Run:
-    """`track_session` with everything that is said about it."""
-    from sylpose.app import text
-    from sylpose.app.run import notes, track_session
-    from sylpose.fit import warm_up
+def _open_live(
+    path: Path,
+    calibration: Path | None,
+    boxes: Path | None,
+    masks: Path | None,
+    offset: list[str] | None,
+    resume: bool,
+    follow: bool,
+    lossless: bool,
+    rate: float | None,
+) -> LiveSession:
+    from sylpose.capture.live import open_live
 
-    console = text.make_console()
-    console.print(text.headline(session))
-    found = notes(session, start)
-    if found:
-        text.print_warnings(console, found)
-    frames = len(range(start, session.n_frames if stop is None else min(stop, session.n_frames), max(every, 1)))
-    problems: list[str] = []
-    with console.status("Loading (the first time after an installation: compiling, half a minute) ..."):
-        warm_up()
-    with text.TrackingProgress(len(session.rig), frames) as progress:
-        try:
-            run = track_session(
-                session,
-                out,
-                method=method,
-                start=start,
-                stop=stop,
-                every=every,
-                overlay=overlay,
-                seed=seed,
-                on_frame=progress.update,
-                on_problem=problems.append,
-            )
-        except BaseException as error:
-            progress.stop()
-            text.print_warnings(console, problems)
-            where = session.path / "sylpose" if out is None else out
-            said = f"after {progress.done} of {frames} frames; what was computed is in {where}"
-            if isinstance(error, KeyboardInterrupt):
-                raise KeyboardInterrupt(f"interrupted {said}") from None
-            if progress.done:
-                _say(f"stopped {said}")
-            raise
-    console.print()
-    text.print_summary(console, run)
-    if not text.solved(run.trajectory):
-        _say(_why_nothing(session, run))
-        raise typer.Exit(FAILED)
-    return run
-
-
-def _why_nothing(session: Session, run: Run) -> str:
-    statuses = [frame.status for frame in run.trajectory if frame.world_from_object is None]
-    if not statuses:
-        return "no motion could be found: there is only the first frame, to which all motion is relative"
-    said = f"no frame could be solved. {max(statuses, key=statuses.count).text}"
-    if not session.boxes and session.masks is None:
-        said += " Boxes of the object in the first frame (--boxes) or masks (--masks) would help to find it."
-    return said
+    if offset:
+        raise ValueError(
+            "--offset: frames of live cameras belong together by their times; --offsets FILE is for delays"
+        )
+    if resume:
+        raise ValueError("--resume: a live session cannot be gone back to")
+    return open_live(
+        path, calibration=calibration, boxes=boxes, masks=masks, follow=follow, lossless=lossless, rate=rate
+    )
 
 
 def _offsets(given: list[str] | None) -> dict[str, int] | None:
@@ -276,20 +318,21 @@ def check(
 
     opened = open_session(session, calibration=calibration, boxes=boxes, masks=masks, offsets=_offsets(offset))
     picture = output_folder(opened.path / "sylpose" if out is None else out) / "rig.png"
-    place = check.object_place(opened)
+    places = {name: check.object_place(opened.of(name)) for name in opened.objects}
+    place = next(iter(places.values()))
     console = text.make_console()
     console.print(text.headline(opened))
     console.print()
     text.print_table(console, text.RIG_HEADER, text.rig_rows(opened, describe_rig(opened.rig, place.center)))
     console.print()
-    text.print_facts(console, check.facts(opened, place))
+    text.print_facts(console, check.facts(opened, places))
     plot_rig(opened.rig, picture, place.center if place.radius else None, place.radius)
     text.print_files(console, "Picture", [picture])
     console.print()
-    found = check.warnings(opened, place)
+    found = check.warnings(opened, places)
     text.print_warnings(console, found)
-    if place.obstacle:
-        raise ValueError(place.obstacle)
+    if obstacles := check.obstacles(places):
+        raise ValueError("; ".join(obstacles))
     console.print("Ready to track." if not found else "Can be tracked; see the warnings above.")
 
 
@@ -313,6 +356,7 @@ def demo(
     within 2 degrees.
     """
     from sylpose.app import text
+    from sylpose.app.aloud import track_aloud, why_nothing
     from sylpose.app.demo import MAX_ERROR_DEG, render_demo, score
     from sylpose.capture import open_session
     from sylpose.report.files import read_tum
@@ -320,7 +364,9 @@ def demo(
     console = text.make_console()
     with console.status(f"Rendering {frames} frames of {cameras} cameras ..."):
         truth = render_demo(out, frames=frames, turn_deg=turn, n_cameras=cameras, seed=seed)
-    run = _track(open_session(out), None, seed=seed)
+    session = open_session(out)
+    run = track_aloud(session, None, seed=seed)
+    _refuse_nothing(why_nothing(session, run), run)
     result = score(
         *read_tum(run.files[0]), *read_tum(out / "groundtruth.tum"), center=truth.world_from_object[0].translation
     )

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sylpose.alignment import CUTOFF, Aligned, Sights, align
+from sylpose.align_kernels import CUTOFF
+from sylpose.alignment import Aligned, Sights, align
 from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit
 from sylpose.landmarks import Landmarks
 from sylpose.motion import sylvester_fit

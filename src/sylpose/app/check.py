@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sylpose.app.run import notes
+from sylpose.app.notes import notes
 from sylpose.app.text import length
 from sylpose.calibration import anipose, caliscope
 from sylpose.capture import Session
@@ -17,7 +18,7 @@ from sylpose.region import volume_from_boxes
 from sylpose.report.rigview import describe_rig, meeting_point
 from sylpose.rig import Rig
 
-__all__ = ["Place", "calibration_format", "facts", "look_at", "object_place", "warnings"]
+__all__ = ["Place", "calibration_format", "facts", "look_at", "object_place", "obstacles", "warnings"]
 
 FloatArray = NDArray[np.float64]
 
@@ -55,8 +56,8 @@ def object_place(session: Session) -> Place:
     return Place(center, float(np.quantile(np.linalg.norm(points - center, axis=1), 0.95)), "the boxes")
 
 
-def facts(session: Session, place: Place) -> list[tuple[str, str]]:
-    """What was understood besides the cameras: label and words."""
+def facts(session: Session, places: Mapping[str, Place]) -> list[tuple[str, str]]:
+    """What was understood besides the cameras: label and words; `places` by object."""
     rig, unit = session.rig, session.rig.unit or "not said"
     calibration = session.calibration
     inside = calibration.parent.resolve() == session.path.resolve()
@@ -72,28 +73,52 @@ def facts(session: Session, place: Place) -> list[tuple[str, str]]:
     else:
         times = "none: the frame number is the time"
     words.append(("Time", times))
-    boxes = ", ".join(f"{name} {box.width:.0f}x{box.height:.0f}" for name, box in session.boxes.items())
-    words.append(("Boxes", boxes or "none: the object is what moves"))
+    for name in session.objects:
+        boxes = session.of(name).boxes.items()
+        said = ", ".join(f"{camera} {box.width:.0f}x{box.height:.0f}" for camera, box in boxes)
+        words.append((_label("Boxes", name, session), said or "none: the object is what moves"))
     words.append(("Masks", "none" if session.masks is None else str(session.masks)))
-    if place.center is None:
-        where = "not known"
-    else:
-        # A thousandth of the distance is all that anybody wants to know here.
-        grain = 1e-3 * float(np.mean([np.linalg.norm(place.center - c.center) for c in rig]))
-        at = ", ".join(f"{value:.3g}" for value in np.where(np.abs(place.center) < grain, 0.0, place.center))
-        where = f"where {place.source} meet, ({at})"
-        if place.source == "the optical axes":
-            off = [np.linalg.norm(np.cross(place.center - c.center, c.direction)) for c in rig]
-            where += f", to within {length(max(float(max(off)), grain), rig.unit)}"
-        elif place.radius:
-            where += f", radius up to {length(place.radius, rig.unit)}"
-    words.append(("Object", where))
+    words += [(_label("Object", name, session), _where(rig, place)) for name, place in places.items()]
     return words
 
 
-def warnings(session: Session, place: Place) -> list[str]:
-    """All that looks wrong but can be worked with, or at least tried."""
-    return [*notes(session), *look_at(session.rig, place), *_boxes(session, place)]
+def _label(what: str, name: str, session: Session) -> str:
+    return what if len(session.objects) == 1 else f"{what}, {name}"
+
+
+def _where(rig: Rig, place: Place) -> str:
+    if place.center is None:
+        return "not known"
+    # A thousandth of the distance is all that anybody wants to know here.
+    grain = 1e-3 * float(np.mean([np.linalg.norm(place.center - c.center) for c in rig]))
+    at = ", ".join(f"{value:.3g}" for value in np.where(np.abs(place.center) < grain, 0.0, place.center))
+    where = f"where {place.source} meet, ({at})"
+    if place.source == "the optical axes":
+        off = [np.linalg.norm(np.cross(place.center - c.center, c.direction)) for c in rig]
+        where += f", to within {length(max(float(max(off)), grain), rig.unit)}"
+    elif place.radius:
+        where += f", radius up to {length(place.radius, rig.unit)}"
+    return where
+
+
+def warnings(session: Session, places: Mapping[str, Place]) -> list[str]:
+    """All that looks wrong but can be worked with, or at least tried; `places` by object."""
+    of_objects = {
+        name: [*look_at(session.rig, place), *_boxes(session.of(name), place)] for name, place in places.items()
+    }
+    # What is wrong with the rig is so for all of them.
+    common = [said for said in next(iter(of_objects.values())) if all(said in own for own in of_objects.values())]
+    own = [f"{name}: {said}" for name, found in of_objects.items() for said in found if said not in common]
+    return [*notes(session), *common, *own]
+
+
+def obstacles(places: Mapping[str, Place]) -> list[str]:
+    """Why objects cannot be tracked."""
+    return [
+        place.obstacle if len(places) == 1 else f"{name}: {place.obstacle}"
+        for name, place in places.items()
+        if place.obstacle
+    ]
 
 
 def look_at(rig: Rig, place: Place) -> list[str]:

@@ -1,34 +1,34 @@
-"""A recording tracked from end to end: session -> tracker -> trajectory files, plots and overlay video."""
+"""A recording tracked from end to end: session -> trackers -> trajectory files, plots and overlay video."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager
+import time
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import perf_counter
-from typing import TypeVar
+from typing import Any
 
-import numpy as np
-
-from sylpose.capture import Session
-from sylpose.report.files import TrajectoryWriter, output_folder, writing
-from sylpose.results import FramePose, Trajectory
+from sylpose.app.checkpoint import CHECKPOINT, fingerprint, load_checkpoint, save_checkpoint
+from sylpose.app.choices import FEATURES, METHODS
+from sylpose.app.clock import Clock
+from sylpose.app.offsets import find_offsets
+from sylpose.app.outputs import ObjectOutput, Overlay
+from sylpose.capture import FrameSet, Session
+from sylpose.capture.live import LiveSession
+from sylpose.report.files import output_folder, writing
+from sylpose.results import Trajectory
 from sylpose.rig import Rig
-from sylpose.tracking import METHODS, TrackedFrame, track
+from sylpose.tracking import TrackedFrame, Tracker
 
-__all__ = ["Run", "notes", "track_session"]
-
-T = TypeVar("T")
+__all__ = ["CHECKPOINT_SECONDS", "Run", "has_ended", "output_path", "track_session"]
 
 # Of the overlay where a recording does not say its rate, frames per second.
 IMAGE_RATE = 2.0
-# Frames that may wait for the overlay's thread before the tracker has to.
-OVERLAY_QUEUE = 4
 # With one camera lengths are relative to the object's distance in the first frame (docs/conventions.md).
 ONE_CAMERA_UNIT = "first distances"
+# Between two checkpoints; and they take no more than this share of the time.
+CHECKPOINT_SECONDS, CHECKPOINT_SHARE = 20.0, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,167 +36,262 @@ class Run:
     """What `track_session` did.
 
     Attributes:
-        trajectory: of all frames; with one camera its unit is "first distances".
+        trajectories: of all frames, by object; with one camera their unit is "first distances".
         files: that were written.
         problems: sentences about what could not be read.
-        seconds: where the time went: "reading", "tracking" (detection, matching, solving), "overlay" and "plots".
+        seconds: where the time went: "reading", "tracking" (detection, matching, solving), "saving" (checkpoints),
+            "overlay", "smoothing" and "plots".
     """
 
-    trajectory: Trajectory
+    trajectories: dict[str, Trajectory]
     files: tuple[Path, ...]
     problems: tuple[str, ...]
     seconds: dict[str, float]
 
+    @property
+    def trajectory(self) -> Trajectory:
+        """Of the only object.
+
+        Raises:
+            ValueError: there are several.
+        """
+        if len(self.trajectories) > 1:
+            raise ValueError(f"several objects ({', '.join(self.trajectories)}): take one of `trajectories`")
+        return next(iter(self.trajectories.values()))
+
+
+def output_path(session: Session | LiveSession, out: Path | str | None = None) -> Path:
+    """Where a run's files go: `sylpose` in the session's folder when nothing else is said."""
+    return session.path / "sylpose" if out is None else Path(out)
+
+
+def has_ended(session: Session | LiveSession, out: Path | str | None = None) -> bool:
+    """Whether a run wrote its files there and came to its end: there is nothing to resume."""
+    folder = output_path(session, out)
+    return not (folder / CHECKPOINT).exists() and (_folders(session, folder)[0] / "trajectory.csv").exists()
+
 
 def track_session(
-    session: Session,
+    session: Session | LiveSession,
     out: Path | str | None = None,
     *,
     method: str = METHODS[0],
+    features: str = FEATURES[0],
+    offsets: Mapping[str, float] | None = None,
     start: int = 0,
     stop: int | None = None,
     every: int = 1,
     overlay: bool = True,
+    smooth: bool = False,
     seed: int = 0,
+    resume: bool = False,
+    checkpoint_seconds: float = CHECKPOINT_SECONDS,
+    on_resume: Callable[[int], None] | None = None,
     on_frame: Callable[[TrackedFrame], None] | None = None,
     on_problem: Callable[[str], None] | None = None,
+    interrupted: Callable[[], bool] | None = None,
 ) -> Run:
     """Track a session and write `trajectory.tum`, `trajectory.csv`, `report.png` and `overlay.mp4`.
 
-    Whatever ends it early (Ctrl-C, a full disk, a bug), the frames solved until then are in the trajectory files, and
-    `report.png` and `overlay.mp4` are finished with them before the exception goes on.
+    Of several objects, each has a folder of its name with the first three. Whatever ends it early (Ctrl-C, a full disk, a
+    bug), the frames solved until then are in the trajectory files, and `report.png` and `overlay.mp4` are finished with
+    them before the exception goes on. `resume` goes on from the last checkpoint, and comes to the same trajectories as if
+    there had been no interruption.
 
     Args:
-        session: of `open_session`.
+        session: of `open_session` or `open_live`.
         out: folder for the files; None: `sylpose` in the session's folder. Files of these names in it are replaced.
-        method, seed: as in `track`.
+        method, features, seed: as in `track`.
+        offsets: as in `track`; None for those of `offsets.toml` in the session's folder, if there are any.
         start, stop, every: frames start, start + every, ... below stop.
         overlay: False leaves `overlay.mp4` out.
-        on_frame: called with each frame once it is in the trajectory files.
+        smooth: refine all poses together at the end (`sylpose.smoothing`); as tracked they are in `tracked.tum` and .csv.
+        resume: go on with the run in `out` that was interrupted. It must have had the same options.
+        checkpoint_seconds: between two checkpoints; 0 for one after every frame. Live sessions have none.
+        on_resume: called with the number of frames that the interrupted run has solved.
+        on_frame: called with each frame once it is in the trajectory files; of several objects, with each of them.
         on_problem: called with a sentence for each file that breaks off and each frame that cannot be read.
+        interrupted: asked after each frame; when it says True, a checkpoint is written and KeyboardInterrupt raised.
 
     Raises:
-        ValueError: frames that the session does not have, an unknown method, boxes that do not meet in space.
+        ValueError: frames that the session does not have, an unknown method, boxes that do not meet in space; `resume`
+            with other options or another session than the interrupted run's, or of a live session.
+        FileNotFoundError: `resume` without an interrupted run.
         OSError: naming the file or folder that cannot be written or read.
     """
-    if method not in METHODS:
-        raise ValueError(f"method: {method!r} is not one of {', '.join(METHODS)}")
+    for name, choice, choices in (("method", method, METHODS), ("features", features, FEATURES)):
+        if choice not in choices:
+            raise ValueError(f"{name}: {choice!r} is not one of {', '.join(choices)}")
+    offsets = find_offsets(session) if offsets is None else dict(offsets)
     problems: list[str] = []
-    clock = _Clock()
 
     def said(problem: str) -> None:
         problems.append(problem)
         if on_problem is not None:
             on_problem(problem)
 
+    asked = {"method": method, "features": features, "seed": seed, "start": start, "stop": stop, "every": every}
+    asked |= {"offsets": offsets or None, "smooth": smooth or None}
+    folder, clock = output_path(session, out), Clock()
     frames = session.frames(start, stop, every, said)
-    folder = output_folder(session.path / "sylpose" if out is None else out)
-    rig = session.rig if len(session.rig) > 1 else Rig(session.rig.cameras, ONE_CAMERA_UNIT)
-    report_path, overlay_path = folder / "report.png", folder / "overlay.mp4"
-    for old in (report_path, overlay_path):  # an earlier run's would be taken for this one's
-        with writing(old):
-            old.unlink(missing_ok=True)
-    poses: list[FramePose] = []
+    saver = None
+    if isinstance(session, Session):
+        options = {name: "none" if value is None else str(value) for name, value in asked.items()}
+        saver = _Saver(folder / CHECKPOINT, options, fingerprint(session), checkpoint_seconds, said, clock)
+    saved = _load(saver, folder) if resume else None
+    position = 0
+    if saved is not None and isinstance(session, Session):
+        position = saved["position"]
+        frames = _rest(session, start, stop, every, position, said)
+        if on_resume is not None:
+            on_resume(position)
+
     with ExitStack() as stack:
-        writer = stack.enter_context(TrajectoryWriter(folder, rig.names, rig.unit))
-        files = [writer.tum_path, writer.csv_path, report_path]
-        stack.callback(_write_report, poses, rig, report_path, clock)
+        if saved is not None:
+            trackers: dict[str, Tracker] = saved["trackers"]
+        else:
+            trackers = {
+                name: Tracker(
+                    session.rig,
+                    session.of(name).boxes or None,
+                    method=method,
+                    features=features,
+                    offsets=offsets,
+                    seed=seed,
+                )
+                for name in session.objects
+            }
+        for tracker in trackers.values():
+            stack.enter_context(tracker)
+        output_folder(folder)
+        if saved is None:
+            _remove_old(folder)
+        rig = session.rig if len(session.rig) > 1 else Rig(session.rig.cameras, ONE_CAMERA_UNIT)
+        outputs: dict[str, ObjectOutput] = {}
+        for name, own in zip(session.objects, _folders(session, folder), strict=True):
+            state = None if saved is None else saved["outputs"][name]
+            outputs[name] = ObjectOutput(own, rig, clock, smooth=smooth, resume=state)
+            stack.callback(outputs[name].close)
         drawing = None
+        overlay_path = folder / (f"overlay_{start + position * every}.mp4" if position else "overlay.mp4")
         if overlay:
             rate = max(session.rate / every, 1.0) if session.rate else IMAGE_RATE
-            drawing = stack.enter_context(closing(_Overlay(overlay_path, rig, rate, clock)))
-            files.append(overlay_path)
+            drawing = stack.enter_context(closing(Overlay(overlay_path, rig, rate, session.objects, clock)))
+
+        def take(name: str, decided: list[TrackedFrame]) -> None:
+            for tracked in decided:
+                outputs[name].write(tracked)
+                if drawing is not None:
+                    drawing.put(name, tracked)
+                if on_frame is not None:
+                    on_frame(tracked)
+
+        def save() -> None:
+            if saver is not None:
+                saver.save(lambda: _state(position, trackers, outputs))
+
+        if saved is None:
+            save()
         stack.enter_context(closing(frames))
-        read = clock.around("reading", frames)
-        solved = track(read, session.rig, session.boxes or None, method=method, seed=seed)
-        for tracked in clock.around("tracking", solved):
-            writer.write(tracked.pose)
-            poses.append(tracked.pose)
-            if drawing is not None:
-                drawing.put(tracked)
-            if on_frame is not None:
-                on_frame(tracked)
-    seconds = clock.seconds
-    seconds["tracking"] -= seconds["reading"]  # `track` reads
-    return Run(Trajectory(poses, rig.names, rig.unit), tuple(files), tuple(problems), seconds)
+        for frame_set in clock.around("reading", frames):
+            for name, tracker in trackers.items():
+                with clock.part("tracking"):
+                    decided = tracker.step(frame_set.of(name))
+                take(name, decided)
+            position += 1
+            stopping = interrupted is not None and interrupted()
+            if stopping or (saver is not None and saver.is_due):
+                save()
+            if stopping:
+                raise KeyboardInterrupt
+        for name, tracker in trackers.items():
+            with clock.part("tracking"):
+                decided = tracker.flush()
+            take(name, decided)
+        for name, output in outputs.items():
+            if sentence := output.finish():
+                said(sentence if len(outputs) == 1 else f"{name}: {sentence}")
+    _remove_checkpoint(folder)
+    files = [file for output in outputs.values() for file in output.files] + ([overlay_path] if overlay else [])
+    trajectories = {name: output.trajectory for name, output in outputs.items()}
+    return Run(trajectories, tuple(files), tuple(problems), clock.seconds)
 
 
-def notes(session: Session, start: int = 0) -> list[str]:
-    """What to know about a session before it is tracked from frame `start` on, in sentences."""
-    found = [*session.warnings]
-    n, parts = session.n_frames, []
-    for name, column in zip(session.rig.names, session.timeline.frames.T, strict=True):
-        shown = np.flatnonzero(column >= 0)
-        if not len(shown):
-            parts.append(f"{name} has none of them")
-        elif len(shown) < n:
-            missing = int(shown[-1] - shown[0] + 1 - len(shown))
-            within = f" without {missing} in between" if missing else ""
-            parts.append(f"{name} has {shown[0]} to {shown[-1]}{within}")
-    if parts:
-        found.append(f"Not every camera has all frames 0 to {n - 1}: {', '.join(parts)}.")
-    if session.boxes and start > 0:
-        found.append(f"The boxes are taken to be of frame {start}, where tracking starts.")
-    return found
+def _folders(session: Session | LiveSession, folder: Path) -> list[Path]:
+    """Of each object: the run's own, or one in it for each of several."""
+    return [folder / name for name in session.objects] if len(session.objects) > 1 else [folder]
 
 
-def _write_report(poses: list[FramePose], rig: Rig, path: Path, clock: _Clock) -> None:
-    if poses:
-        with clock.part("plots"):
-            from sylpose.report.plots import plot_trajectory  # loading matplotlib takes a second
+def _remove_old(folder: Path) -> None:
+    """An earlier run's videos and checkpoint would be taken for this one's."""
+    videos = [file for file in folder.glob("overlay*.mp4") if file.stem[7:].removeprefix("_").isdigit()]
+    for old in [folder / "overlay.mp4", *videos]:
+        with writing(old):
+            old.unlink(missing_ok=True)
+    _remove_checkpoint(folder)
 
-            plot_trajectory(Trajectory(poses, rig.names, rig.unit), path)
+
+def _remove_checkpoint(folder: Path) -> None:
+    """With what a kill while it was written may have left."""
+    for old in (folder / CHECKPOINT, folder / f"{CHECKPOINT}.tmp"):
+        with writing(old):
+            old.unlink(missing_ok=True)
 
 
-class _Overlay:
-    """Draws and encodes in one thread beside the tracker, in order; its exceptions come out of `put` and `close`."""
+def _state(position: int, trackers: dict[str, Tracker], outputs: dict[str, ObjectOutput]) -> object:
+    """What a checkpoint holds: all that the next frames depend on."""
+    states = {name: output.state() for name, output in outputs.items()}
+    return {"position": position, "trackers": trackers, "outputs": states}
 
-    def __init__(self, path: Path, rig: Rig, rate: float, clock: _Clock) -> None:
-        from sylpose.report.overlay import OverlayWriter
 
-        self._clock = clock
-        self._writer = OverlayWriter(path, rig, rate)
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="sylpose-overlay")
-        self._pending: deque[Future[None]] = deque()
+def _load(saver: _Saver | None, folder: Path) -> Any:
+    if saver is None:
+        raise ValueError("a live session cannot be resumed: what was not tracked then is gone")
+    if not saver.path.exists():
+        raise FileNotFoundError(f"{folder}: no interrupted run to resume (there is no {CHECKPOINT})")
+    return load_checkpoint(saver.path, saver.options, saver.session)
 
-    def put(self, tracked: TrackedFrame) -> None:
-        job = (tracked.frames.images, tracked.pose, tracked.matches, tracked.radius, tracked.regions)
-        self._pending.append(self._pool.submit(self._writer.write, *job))
-        with self._clock.part("overlay"):
-            while self._pending and (len(self._pending) > OVERLAY_QUEUE or self._pending[0].done()):
-                self._pending.popleft().result()
 
-    def close(self) -> None:
-        with self._clock.part("overlay"):
-            try:
-                while self._pending:
-                    self._pending.popleft().result()
-            finally:
-                self._pool.shutdown()
-                self._writer.close()
+def _rest(
+    session: Session, start: int, stop: int | None, every: int, position: int, on_problem: Callable[[str], None]
+) -> Generator[FrameSet, None, None]:
+    """The frames that are left after the first `position` ones."""
+    first = start + position * every
+    if first < (session.n_frames if stop is None else min(stop, session.n_frames)):
+        return session.frames(first, stop, every, on_problem)
+    return _nothing()
+
+
+def _nothing() -> Generator[FrameSet, None, None]:
+    nothing: Iterator[FrameSet] = iter(())
+    yield from nothing
 
 
 @dataclass(eq=False)
-class _Clock:
-    """Seconds that the caller's thread has spent on each part."""
+class _Saver:
+    """Writes checkpoints now and then; that one cannot be written is a problem, but does not end the run."""
 
-    seconds: dict[str, float] = field(default_factory=dict)
+    path: Path
+    options: dict[str, str]
+    session: dict[str, str]
+    seconds: float
+    said: Callable[[str], None]
+    clock: Clock
+    _next: float = field(default=0.0, init=False)
+    _failed: bool = field(default=False, init=False)
 
-    @contextmanager
-    def part(self, name: str) -> Iterator[None]:
-        begin = perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - begin
+    @property
+    def is_due(self) -> bool:
+        return time.monotonic() >= self._next
 
-    def around(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """The items, with the time until each of them counted."""
-        iterator = iter(items)
-        while True:
-            with self.part(name):
-                try:
-                    item = next(iterator)
-                except StopIteration:
-                    return
-            yield item
+    def save(self, state: Callable[[], object]) -> None:
+        begin = time.monotonic()
+        with self.clock.part("saving"):
+            try:
+                save_checkpoint(self.path, self.options, self.session, state())
+            except OSError as error:
+                if not self._failed:
+                    self.said(f"{error}; --resume could only go on from an earlier checkpoint.")
+                self._failed = True
+        end = time.monotonic()
+        self._next = end + max(self.seconds, (end - begin) / CHECKPOINT_SHARE if self.seconds else 0.0)

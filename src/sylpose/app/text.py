@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -15,14 +16,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from sylpose.app.run import Run
-from sylpose.capture import Session
 from sylpose.results import FramePose, Status, Trajectory
-from sylpose.tracking import TrackedFrame
 
-if TYPE_CHECKING:  # rigview loads matplotlib
+if TYPE_CHECKING:  # loading these takes a second
     from sylpose.app.demo import Score
+    from sylpose.app.run import Run
+    from sylpose.capture import Session
+    from sylpose.capture.live import LiveSession
     from sylpose.report.rigview import CameraView
+    from sylpose.tracking import TrackedFrame
 
 __all__ = [
     "RIG_HEADER",
@@ -37,6 +39,7 @@ __all__ = [
     "print_table",
     "print_warnings",
     "rig_rows",
+    "say",
     "solved",
 ]
 
@@ -50,6 +53,11 @@ def make_console(*, stderr: bool = False) -> Console:
     if not console.is_terminal:
         console.width = 10_000
     return console
+
+
+def say(sentence: str) -> None:
+    """What went wrong, on stderr."""
+    print(f"sylpose: {sentence}", file=sys.stderr)
 
 
 def print_facts(console: Console, facts: Iterable[tuple[str, str]]) -> None:
@@ -98,22 +106,30 @@ def length(value: float, unit: str) -> str:
     return f"{value:.{min(max(digits, 0), 9)}f} {unit or 'units'}"
 
 
-def headline(session: Session) -> Text:
-    """The session's name, cameras, frames and rate in one line."""
+def headline(session: Session | LiveSession) -> Text:
+    """The session's name, cameras, frames, rate and objects in one line."""
     rate = f" at {session.rate:.4g} per second" if session.rate else ""
     cameras = f"{len(session.rig)} camera{'s' if len(session.rig) > 1 else ''}"
-    frames = f"{session.n_frames} frame{'s' if session.n_frames > 1 else ''}"
-    return Text.assemble((session.path.resolve().name, "bold"), f": {cameras}, {frames}{rate}")
+    frames = "live"
+    if session.n_frames is not None:
+        frames = f"{session.n_frames} frame{'s' if session.n_frames > 1 else ''}"
+    objects = f", {len(session.objects)} objects: {', '.join(session.objects)}" if len(session.objects) > 1 else ""
+    return Text.assemble((session.path.resolve().name, "bold"), f": {cameras}, {frames}{rate}{objects}")
 
 
 class TrackingProgress:
     """A progress bar on stderr, nothing when that is no terminal: frames, frames per second, inliers.
 
     A context manager; `update` is what `track_session` takes as `on_frame`.
+
+    Args:
+        cameras: how many.
+        frames: how many, with those that are skipped; None when nobody knows.
+        objects: `update` is called for each of them.
     """
 
-    def __init__(self, cameras: int, frames: int) -> None:
-        self.done = 0
+    def __init__(self, cameras: int, frames: int | None, objects: int = 1) -> None:
+        self._updates, self._skipped, self._objects = 0, 0, objects
         console = make_console(stderr=True)
         self._progress = Progress(
             TextColumn("Tracking"),
@@ -140,30 +156,49 @@ class TrackingProgress:
         """Takes the bar away; twice does no harm."""
         self._progress.stop()
 
+    @property
+    def tracked(self) -> int:
+        """Frames that all objects are tracked in."""
+        return self._updates // self._objects
+
+    @property
+    def done(self) -> int:
+        """Frames, those included that an earlier run has tracked."""
+        return self._skipped + self.tracked
+
+    def skip(self, frames: int) -> None:
+        """Frames that an earlier run has tracked."""
+        self._skipped = frames
+        self._progress.update(self._task, completed=frames)
+
     def update(self, tracked: TrackedFrame) -> None:
-        """One frame more."""
-        self.done += 1
+        """One frame of one object more."""
+        self._updates += 1
         pose = tracked.pose
-        measured = pose.status.has_pose and pose.status is not Status.FIRST
+        measured = pose.measured and pose.status is not Status.FIRST
         inliers = f"{int(pose.inliers.sum())} inliers" if measured else pose.status.value
         elapsed = self._progress.tasks[0].elapsed
-        rate = f"{self.done / elapsed:.1f} frames/s" if elapsed else ""
-        self._progress.update(self._task, advance=1, rate=rate, inliers=inliers)
+        rate = f"{self.tracked / elapsed:.1f} frames/s" if elapsed else ""
+        self._progress.update(self._task, completed=self.done, rate=rate, inliers=inliers)
 
 
-def print_summary(console: Console, run: Run) -> None:
-    """What was found, how well, how long it took and where it is."""
-    trajectory = run.trajectory
-    print_facts(console, _findings(trajectory))
-    console.print()
-    print_table(console, ("Camera", "frames used", "inliers", "residual"), _per_camera(trajectory))
-    console.print()
-    if run.problems:
-        print_warnings(console, run.problems)
+def print_summary(console: Console, run: Run, tracked: int) -> None:
+    """What was found, how well, how long it took and where it is; `tracked` frames took that time."""
+    for name, trajectory in run.trajectories.items():
+        if len(run.trajectories) > 1:
+            console.print(Text(name, "bold"))
+        print_facts(console, _findings(trajectory))
+        console.print()
+        print_table(console, ("Camera", "frames used", "inliers", "residual"), _per_camera(trajectory))
+        console.print()
+    # What a live session says now and then is in what it says at its end.
+    problems = [problem for problem in run.problems if not problem.startswith("Left out up to now")]
+    if problems:
+        print_warnings(console, problems)
         console.print()
     total = sum(run.seconds.values())
     parts = ", ".join(f"{name} {seconds:.1f}" for name, seconds in run.seconds.items())
-    print_facts(console, [("Time", f"{total:.1f} s, {len(trajectory) / total:.1f} frames/s ({parts})")])
+    print_facts(console, [("Time", f"{total:.1f} s, {tracked / total:.1f} frames/s ({parts})")])
     print_files(console, "Files", run.files)
 
 
@@ -180,16 +215,16 @@ def print_score(console: Console, result: Score, unit: str) -> None:
 
 def solved(trajectory: Trajectory) -> list[FramePose]:
     """The frames whose pose was found and is not a definition."""
-    return [f for f in trajectory if f.world_from_object is not None and f.status is not Status.FIRST]
+    return [f for f in trajectory if f.measured and f.status is not Status.FIRST]
 
 
 def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
-    posed = [f for f in trajectory if f.world_from_object is not None]
-    facts = [("Solved", f"{len(posed)} of {len(trajectory)} frames")]
-    reasons = Counter(f.status for f in trajectory if f.world_from_object is None)
-    if reasons:
-        facts.append(("Not solved", ", ".join(f"{n} {status.value}" for status, n in reasons.most_common())))
-    if len(posed) < 2:
+    found = int(trajectory.solved.sum())
+    again = sum(f.status is Status.RELOCALISED for f in trajectory)
+    said = f"{found} of {len(trajectory)} frames" + (f" ({again} relocalised)" if again else "")
+    rest = Counter(f.status for f in trajectory if not f.measured)
+    facts = [("Tracked", ", ".join([said, *(f"{status.value} {n}" for status, n in rest.most_common())]))]
+    if found < 2:
         return facts
     turn = np.degrees(trajectory.turn[trajectory.solved])
     most = f", {turn.max():.1f}° at most" if turn.max() - turn[-1] > 0.05 else ""

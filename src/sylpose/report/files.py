@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -17,7 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.results import FramePose, Status, Trajectory
 
-__all__ = ["TrajectoryWriter", "output_folder", "read_trajectory", "read_tum", "write_tum", "writing"]
+__all__ = ["TrajectoryWriter", "WriterState", "output_folder", "read_trajectory", "read_tum", "write_tum", "writing"]
 
 FloatArray = NDArray[np.float64]
 
@@ -51,6 +53,20 @@ def output_folder(path: Path | str) -> Path:
     return folder
 
 
+@dataclass(frozen=True, eq=False)
+class WriterState:
+    """How far a `TrajectoryWriter` has come.
+
+    Attributes:
+        tum_bytes, csv_bytes: lengths of its files.
+        quaternion: (4,) the last one that was written, which the next one's sign depends on; None before the first.
+    """
+
+    tum_bytes: int
+    csv_bytes: int
+    quaternion: FloatArray | None
+
+
 class TrajectoryWriter:
     """Writes `trajectory.tum` and `trajectory.csv` frame by frame; what was written survives a crash.
 
@@ -58,38 +74,54 @@ class TrajectoryWriter:
     once. The quaternion's sign is the one nearer to the frame before.
 
     `trajectory.tum` has the frames in which the object was found: `time tx ty tz qx qy qz qw`, world_from_object.
-    `trajectory.csv` has all frames: also status, the calibration's length unit, pan, tilt, roll in degrees, the standard deviations (rotation about
-    the world's x, y, z in degrees, then position), and per camera `inliers_NAME` and `residual_px_NAME`. A cell is empty
-    where there is no value; for a standard deviation that means unbounded.
+    `trajectory.csv` has all frames: also status, the calibration's length unit, pan, tilt, roll in degrees, the standard
+    deviations (rotation about the world's x, y, z in degrees, then position), and per camera `inliers_NAME` and
+    `residual_px_NAME`. A cell is empty where there is no value; for a standard deviation that means unbounded.
 
     Args:
         out_dir: made when it is not there.
         camera_names: (C,) names for the per-camera columns, in the order of `FramePose.inliers`.
         unit: the calibration's length unit, or "".
+        stem: another name for the files.
+        resume: of an earlier writer of the same files: what was written after it is cut off, and the rest goes on.
 
     Raises:
         OSError: naming the file or folder that cannot be written.
+        ValueError: naming a file that is missing or too short to be gone on with.
     """
 
-    def __init__(self, out_dir: Path | str, camera_names: Sequence[str], unit: str = "") -> None:
+    def __init__(
+        self,
+        out_dir: Path | str,
+        camera_names: Sequence[str],
+        unit: str = "",
+        *,
+        stem: str = "trajectory",
+        resume: WriterState | None = None,
+    ) -> None:
         folder = output_folder(out_dir)
         self.camera_names = tuple(camera_names)
         self.unit = unit
-        self.tum_path = folder / "trajectory.tum"
-        self.csv_path = folder / "trajectory.csv"
-        self._quaternion: FloatArray | None = None
+        self.tum_path = folder / f"{stem}.tum"
+        self.csv_path = folder / f"{stem}.csv"
+        self._quaternion = None if resume is None else resume.quaternion
         per_camera = [f"inliers_{n}" for n in camera_names] + [f"residual_px_{n}" for n in camera_names]
-        # Without a buffer of its own, a line is with the operating system as soon as `write` returns.
-        with writing(self.tum_path):
-            self._tum = self.tum_path.open("wb", buffering=0)
+        self._tum = _open(self.tum_path, None if resume is None else resume.tum_bytes)
         try:
-            with writing(self.csv_path):
-                self._csv = self.csv_path.open("wb", buffering=0)
-            self._put(self._tum, self.tum_path, _tum_header(unit))
-            self._put(self._csv, self.csv_path, _csv_line([*_COLUMNS, *per_camera]))
-        except OSError:
+            self._csv = _open(self.csv_path, None if resume is None else resume.csv_bytes)
+            if resume is None:
+                self._put(self._tum, self.tum_path, _tum_header(unit))
+                self._put(self._csv, self.csv_path, _csv_line([*_COLUMNS, *per_camera]))
+        except (OSError, ValueError):
             self.close()
             raise
+
+    def state(self) -> WriterState:
+        """What it takes to go on from here; all that was written is then on the disk."""
+        for file, path in ((self._tum, self.tum_path), (self._csv, self.csv_path)):
+            with writing(path):
+                os.fsync(file.fileno())
+        return WriterState(self._tum.tell(), self._csv.tell(), self._quaternion)
 
     def __enter__(self) -> Self:
         return self
@@ -137,6 +169,21 @@ class TrajectoryWriter:
         with writing(path):
             while data:
                 data = data[file.write(data) :]
+
+
+def _open(path: Path, length: int | None) -> io.FileIO:
+    """A file to append to: a new one, or one that is cut to its first `length` bytes."""
+    # Without a buffer of its own, a line is with the operating system as soon as `write` returns.
+    if length is None:
+        with writing(path):
+            return path.open("wb", buffering=0)
+    if not path.is_file() or path.stat().st_size < length:
+        raise ValueError(f"{path}: is not as the interrupted run left it, which cannot be gone on with")
+    with writing(path):
+        file = path.open("r+b", buffering=0)
+        file.truncate(length)
+        file.seek(length)
+    return file
 
 
 def read_trajectory(path: Path | str) -> Trajectory:

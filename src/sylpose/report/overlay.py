@@ -15,13 +15,13 @@ import numpy as np
 from av.codec.codec import UnknownCodecError
 from av.video.reformatter import Colorspace
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
+from sylpose.report.drawing import DARK, GREY, WHITE, draw_axes, draw_matches, pen, polyline, write
 from sylpose.report.files import writing
 from sylpose.results import FramePose, Status
 from sylpose.rig import Camera, Rig
 
-__all__ = ["OverlayWriter"]
+__all__ = ["OverlayWriter", "Shown", "object_color"]
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -35,15 +35,41 @@ ENCODERS: tuple[tuple[str, dict[str, str]], ...] = (
     ("mpeg4", {"qscale": "3"}),
 )
 
-# BGR, as OpenCV draws.
-WHITE, GREY, DARK = (245, 245, 245), (150, 150, 150), (28, 26, 24)
-AXIS_COLORS: tuple[Color, ...] = ((70, 70, 255), (80, 220, 60), (255, 140, 50))
+# BGR, as OpenCV draws: trails, dots and region of a single object; of several each has one colour for all of them.
 TRAIL, DOT, REGION = (0, 190, 255), (60, 240, 255), (235, 206, 135)
+OBJECT_COLORS: tuple[Color, ...] = (
+    (60, 240, 255),
+    (235, 206, 135),
+    (203, 140, 255),
+    (120, 235, 150),
+    (80, 165, 255),
+    (255, 150, 180),
+)
 GOOD, WARN, BAD = (120, 220, 120), (60, 190, 255), (90, 90, 255)
 
 GAP = 4  # pixels between tiles
 MIN_TILE = 480  # pixels: smaller images are enlarged to this width, so that text and lines stay readable
-SHIFT = 4  # OpenCV's fractional bits: lines are drawn to a sixteenth of a pixel
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What is drawn of one object in one frame.
+
+    Attributes:
+        name: said where it is not empty, for one of several objects.
+        pose: of this frame.
+        matches: per camera the inliers' pixels (n, 2) in the frame before and (n, 2) in this one, or None.
+        axis_length: of the object's axes, in the calibration's unit.
+        regions: per camera the corners (n, 2) of the object's region in pixels, or None; empty for no regions.
+        color: BGR of its name, matches and region, to tell it from other objects; None for the usual ones.
+    """
+
+    name: str
+    pose: FramePose
+    matches: Sequence[Matches | None]
+    axis_length: float
+    regions: Sequence[FloatArray | None] = ()
+    color: Color | None = None
 
 
 class OverlayWriter:
@@ -141,8 +167,11 @@ class OverlayWriter:
             ValueError: not one image, match or region per camera, or an image of another size than its camera's.
             OSError: naming the file, when it cannot be written.
         """
-        picture = self.draw(images, pose, matches, axis_length, regions)
-        frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
+        self.write_objects(images, [Shown("", pose, matches, axis_length, regions)])
+
+    def write_objects(self, images: Sequence[Image | None], objects: Sequence[Shown]) -> None:
+        """As `write`, with any number of objects in one picture."""
+        frame = av.VideoFrame.from_ndarray(self.draw_objects(images, objects), format="bgr24")
         frame = frame.reformat(format="yuv420p", dst_colorspace=Colorspace.ITU709)
         frame.pts = self._count
         frame.time_base = 1 / self._stream.codec_context.framerate
@@ -159,30 +188,36 @@ class OverlayWriter:
         regions: Sequence[FloatArray | None] = (),
     ) -> Image:
         """The picture that `write` appends: (height, width, 3) BGR."""
+        return self.draw_objects(images, [Shown("", pose, matches, axis_length, regions)])
+
+    def draw_objects(self, images: Sequence[Image | None], objects: Sequence[Shown]) -> Image:
+        """The picture that `write_objects` appends: (height, width, 3) BGR."""
         n = len(self.rig)
-        regions = regions or [None] * n
-        for name, given in (("images", images), ("matches", matches), ("regions", regions)):
-            if len(given) != n:
-                raise ValueError(f"the overlay needs {n} {name}, one per camera, got {len(given)}")
+        self._check("images", images)
+        for shown in objects:
+            self._check("matches", shown.matches)
+            self._check("regions", shown.regions or [None] * n)
         layout = self._layout
         picture = np.full((layout.size[1], layout.size[0], 3), DARK, np.uint8)
-        _draw_bar(picture[: layout.bar], pose, axis_length, self.rig.unit)
+        _draw_bar(picture[: layout.bar], objects, self.rig.unit)
         for i, camera in enumerate(self.rig):
             x, y = layout.corners[i]
             tile = picture[y : y + layout.tile[1], x : x + layout.tile[0]]
-            image, pair, region = images[i], matches[i], regions[i]
-            inner = _place(tile, camera, image)
-            if image is not None:
-                scale = inner.shape[1] / camera.size[0]
-                pen = max(2, round(layout.text * 2.2))
-                if region is not None and len(region):
-                    _polyline(inner, (region + 0.5) * scale - 0.5, REGION, 1, closed=True)
-                if pair is not None:
-                    _draw_matches(inner, pair, scale, layout.text)
-                if pose.world_from_object is not None:
-                    _draw_axes(inner, camera, pose.world_from_object, axis_length, scale, pen, layout.text)
-            _draw_caption(tile, camera.name, pose, i, image is not None, layout.text)
+            inner = _place(tile, camera, images[i])
+            if images[i] is not None:
+                for shown in objects:
+                    _draw_object(inner, camera, i, shown, layout.text)
+            _draw_caption(tile, camera.name, [shown.pose for shown in objects], i, images[i] is not None, layout.text)
         return picture
+
+    def _check(self, name: str, given: Sequence[object]) -> None:
+        if len(given) != len(self.rig):
+            raise ValueError(f"the overlay needs {len(self.rig)} {name}, one per camera, got {len(given)}")
+
+
+def object_color(k: int) -> Color:
+    """The colour of the k-th of several objects; they repeat after six."""
+    return OBJECT_COLORS[k % len(OBJECT_COLORS)]
 
 
 @dataclass(frozen=True)
@@ -241,134 +276,77 @@ def _place(tile: Image, camera: Camera, image: Image | None) -> Image:
     return inner
 
 
-def _draw_matches(tile: Image, pair: Matches, scale: float, text: float) -> None:
-    """Trails from the frame before, blended so that what is under many of them is still seen."""
-    before, now = ((np.asarray(p, dtype=float).reshape(-1, 2) + 0.5) * scale - 0.5 for p in pair)
-    if not len(now):
-        return
-    layer = tile.copy()
-    trails = [np.round(np.stack([b, a]) * 2**SHIFT).astype(np.int32) for b, a in zip(before, now, strict=True)]
-    cv2.polylines(layer, trails, False, TRAIL, 1, cv2.LINE_AA, SHIFT)
-    radius = round(max(1.8, 2.6 * text) * 2**SHIFT)
-    for point in np.round(now * 2**SHIFT).astype(int):
-        cv2.circle(layer, (int(point[0]), int(point[1])), radius, DOT, -1, cv2.LINE_AA, SHIFT)
-    cv2.addWeighted(layer, 0.75, tile, 0.25, 0, dst=tile)
+def _draw_object(tile: Image, camera: Camera, i: int, shown: Shown, text: float) -> None:
+    """One object in camera i."""
+    scale, color = tile.shape[1] / camera.size[0], shown.color
+    region, pair, pose = (shown.regions or [None] * (i + 1))[i], shown.matches[i], shown.pose
+    if region is not None and len(region):
+        polyline(tile, (region + 0.5) * scale - 0.5, color or REGION, 1, closed=True)
+    if pair is not None:
+        draw_matches(tile, pair, scale, text, color or TRAIL, color or DOT)
+    if pose.world_from_object is not None:
+        draw_axes(tile, camera, pose.world_from_object, shown.axis_length, scale, text, faint=not pose.measured)
+        if shown.name:
+            at = (camera.project(pose.position)[0] + 0.5) * scale - 0.5 + [0, 16 * text]
+            write(tile, shown.name, at, 0.7 * text, color or WHITE, centered=True)
 
 
-def _draw_axes(
-    tile: Image, camera: Camera, world_from_object: RigidTransform, length: float, scale: float, pen: int, text: float
-) -> None:
-    """The object's axes, the farthest first; through the lens, so they may be curved."""
-    origin = world_from_object.translation
-    directions = world_from_object.rotation.as_matrix().T
-    depths = np.linalg.norm(origin + length * directions - camera.center, axis=1)
-    steps = np.linspace(0, 1, 13)[:, None]
-    for k in np.argsort(-depths):
-        pixels = _project(camera, origin + steps * length * directions[k])
-        # A line that leaves the lens's field of view ends there.
-        hidden = np.flatnonzero(np.isnan(pixels[:, 0]))
-        line = (pixels[: hidden[0] if hidden.size else None] + 0.5) * scale - 0.5
-        if len(line) < 2:
-            continue
-        _polyline(tile, line, DARK, pen + 2)
-        _polyline(tile, line, AXIS_COLORS[k], pen)
-        outward = line[-1] - line[0]
-        reach = np.linalg.norm(outward)
-        tip = line[-1] + outward / max(float(reach), 1e-9) * 14 * text
-        if len(line) == len(steps):
-            _text(tile, "xyz"[k], tip, 0.8 * text, AXIS_COLORS[k], centered=True)
-
-
-def _project(camera: Camera, points: FloatArray) -> FloatArray:
-    """World points (n, 3) -> pixels (n, 2); NaN behind the camera, and where the lens model does not hold.
-
-    Far outside of the image a polynomial lens model folds back into it; such a pixel's ray is not the point's.
-    """
-    pixels = camera.project(points)
-    seen = np.asarray(np.isfinite(pixels).all(axis=1))
-    toward = points[seen] - camera.center
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    seen[seen] = (camera.rays(pixels[seen]) * toward).sum(axis=1) > np.cos(1e-2)
-    pixels[~seen] = np.nan
-    return pixels
-
-
-def _draw_caption(tile: Image, name: str, pose: FramePose, i: int, has_image: bool, text: float) -> None:
+def _draw_caption(tile: Image, name: str, poses: Sequence[FramePose], i: int, has_image: bool, text: float) -> None:
     """Camera name, inliers and residual on a dark ground in the corner; "no frame" in the middle of an empty tile."""
-    count, residual = int(pose.inliers[i]), float(pose.residuals[i])
+    count = sum(int(pose.inliers[i]) for pose in poses)
     details = f"{count} inlier{'' if count == 1 else 's'}"
-    if count and np.isfinite(residual):
-        details += f"  {residual:.2f} px"
-    if pose.status is Status.FIRST:
+    if count and len(poses) == 1 and np.isfinite(poses[0].residuals[i]):
+        details += f"  {float(poses[0].residuals[i]):.2f} px"
+    if all(pose.status is Status.FIRST for pose in poses):
         details = ""
     if not has_image:
         details = ""
-        _text(tile, "no frame", (tile.shape[1] / 2, tile.shape[0] / 2), 1.2 * text, GREY, centered=True)
+        write(tile, "no frame", (tile.shape[1] / 2, tile.shape[0] / 2), 1.2 * text, GREY, centered=True)
     size, margin = 0.78 * text, round(10 * text) + 2
-    (name_width, height), _ = cv2.getTextSize(name, cv2.FONT_HERSHEY_SIMPLEX, size, _pen(size))
-    details_width = cv2.getTextSize(details, cv2.FONT_HERSHEY_SIMPLEX, size, _pen(size))[0][0] if details else -margin
+    (name_width, height), _ = cv2.getTextSize(name, cv2.FONT_HERSHEY_SIMPLEX, size, pen(size))
+    details_width = cv2.getTextSize(details, cv2.FONT_HERSHEY_SIMPLEX, size, pen(size))[0][0] if details else -margin
     ground = tile[: height + 2 * margin, : name_width + details_width + 3 * margin]
     cv2.addWeighted(ground, 0.3, np.full_like(ground, DARK), 0.7, 0, dst=ground)
-    _text(tile, name, (margin, margin + height), size, WHITE)
-    _text(tile, details, (2 * margin + name_width, margin + height), size, GOOD if count else GREY)
+    write(tile, name, (margin, margin + height), size, WHITE)
+    write(tile, details, (2 * margin + name_width, margin + height), size, GOOD if count else GREY)
 
 
-def _draw_bar(bar: Image, pose: FramePose, axis_length: float, unit: str) -> None:
-    """Frame, time and status on the left, angles and position on the right."""
+def _draw_bar(bar: Image, objects: Sequence[Shown], unit: str) -> None:
+    """Frame, time and status on the left, angles and position on the right; of several objects their statuses."""
     height = bar.shape[0]
     size = height / 62
     y = height * 0.68
-    color = GOOD if pose.status in (Status.OK, Status.FIRST) else WARN if pose.status.has_pose else BAD
+    pose = objects[0].pose
+    words: list[tuple[str, Color, float]] = [(f"frame {pose.index}", WHITE, 0.5)]
+    if pose.time != pose.index:
+        words.append((f"{pose.time:.2f} s", WHITE, 0.5))
+    for shown in objects:
+        if shown.name:
+            words.append((shown.name, shown.color or WHITE, 0.25))
+        words.append((shown.pose.status.value, _status_color(shown.pose), 0.5))
     x = height * 0.3
-    for words, ink in (
-        (f"frame {pose.index}", WHITE),
-        (f"{pose.time:.2f} s" if pose.time != pose.index else "", WHITE),
-        (pose.status.value, color),
-    ):
-        if words:
-            x += _text(bar, words, (x, y), size, ink) + height * 0.5
+    for text, color, gap in words:
+        x += write(bar, text, (x, y), size, color) + height * gap
+    if any(shown.name for shown in objects):
+        return
     texts = [pose.status.text]
     if pose.world_from_object is not None:
         pan, tilt, roll = np.degrees(pose.pan_tilt_roll)
         angles = f"pan {pan:+.1f}  tilt {tilt:+.1f}  roll {roll:+.1f} deg"
         # To a hundredth or so of the object's size.
-        digits = int(np.clip(2 - np.floor(np.log10(max(axis_length, 1e-9))), 0, 6))
+        digits = int(np.clip(2 - np.floor(np.log10(max(objects[0].axis_length, 1e-9))), 0, 6))
         place = "  ".join(f"{name} {value:+.{digits}f}" for name, value in zip("xyz", pose.position, strict=True))
         texts = [f"{angles}    {place} {unit}".strip(), angles]
     # The longest text that there is room for.
-    for words in texts:
-        (width, _), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, size, _pen(size))
+    for text in texts:
+        (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, pen(size))
         right = bar.shape[1] - height * 0.3 - width
         if right > x:
-            _text(bar, words, (right, y), size, WHITE)
+            write(bar, text, (right, y), size, WHITE)
             break
 
 
-def _pen(size: float) -> int:
-    return max(1, round(1.3 * size))
-
-
-def _text(
-    picture: Image, words: str, at: Sequence[float] | FloatArray, size: float, color: Color, centered: bool = False
-) -> int:
-    """Draws from the base line's left end, or centred; returns the width in pixels."""
-    (width, height), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, size, _pen(size))
-    if not np.isfinite(at).all() or max(abs(at[0]), abs(at[1])) > 1e5:
-        return int(width)
-    x, y = (at[0] - width / 2, at[1] + height / 2) if centered else (at[0], at[1])
-    place = (round(x), round(y))
-    if centered:
-        # An outline. Not a thicker pen: in OpenCV 5 that makes the letters wider.
-        for dx, dy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-            beside = (place[0] + dx, place[1] + dy)
-            cv2.putText(picture, words, beside, cv2.FONT_HERSHEY_SIMPLEX, size, DARK, _pen(size), cv2.LINE_AA)
-    cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, size, color, _pen(size), cv2.LINE_AA)
-    return int(width)
-
-
-def _polyline(picture: Image, line: FloatArray, color: Color, width: int, closed: bool = False) -> None:
-    # Beyond this OpenCV's fixed-point numbers overflow; a point so far outside says nothing to the eye.
-    inside = line[np.isfinite(line).all(axis=1) & (np.abs(line) < 1e5).all(axis=1)]
-    if len(inside) > 1:
-        points = np.round(inside * 2**SHIFT).astype(np.int32)
-        cv2.polylines(picture, [points], closed, color, width, cv2.LINE_AA, SHIFT)
+def _status_color(pose: FramePose) -> Color:
+    if pose.status in (Status.OK, Status.FIRST, Status.TRACKED, Status.RELOCALISED):
+        return GOOD
+    return WARN if pose.status.has_pose else BAD

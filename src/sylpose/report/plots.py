@@ -29,7 +29,7 @@ X_COLOR, Y_COLOR, Z_COLOR = "#D55E00", "#009E73", "#0072B2"
 # Paul Tol's "muted" colours, for cameras; another dash from the tenth camera on.
 CAMERA_COLORS = ("#332288", "#CC6677", "#117733", "#DDCC77", "#88CCEE", "#882255", "#44AA99", "#999933", "#AA4499")
 DASHES = ("-", "--", ":", "-.")
-NO_POSE_COLOR, PARTIAL_COLOR = "#BBBBBB", "#F0E442"
+NO_POSE_COLOR, PARTIAL_COLOR, COASTING_COLOR = "#BBBBBB", "#F0E442", "#F6D9C2"
 INK = "#333333"
 
 # With more frames than this, markers would run into each other.
@@ -42,15 +42,17 @@ def camera_colors(n: int) -> list[str]:
 
 
 def summary(trajectory: Trajectory) -> str:
-    """One line: frames with a pose, turn and displacement between the first and the last of them, median residual.
+    """One line: frames in which a pose was found, turn and displacement from the first to the last, median residual.
 
     Raises:
         ValueError: a trajectory without frames.
     """
     if not len(trajectory):
         raise ValueError("the trajectory has no frames")
-    solved = [f for f in trajectory if f.world_from_object is not None]
+    solved = [f for f in trajectory if f.measured]
     parts = [f"{len(solved)} of {len(trajectory)} frames with a pose"]
+    if coasting := sum(f.status is Status.COASTING for f in trajectory):
+        parts.append(f"coasting in {coasting}")
     if solved:
         turn = trajectory.turn[trajectory.solved][-1]
         parts.append(f"turned {np.degrees(turn):.1f}° from the first to the last")
@@ -70,7 +72,8 @@ def summary(trajectory: Trajectory) -> str:
 def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     """Draws pan, tilt, roll and the total turn, the position since the start, inliers and residuals per camera over time.
 
-    Bands are two standard deviations either way, to first order in the covariance. Frames without a pose are shaded.
+    Bands are two standard deviations either way, to first order in the covariance. Poses that are carried on only
+    (coasting) are dotted and pale; these frames and those without a pose are shaded.
 
     Args:
         trajectory: of at least one frame.
@@ -81,7 +84,7 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
         OSError: naming the file, when it cannot be written.
     """
     title = summary(trajectory)
-    solved = trajectory.solved
+    solved, coasting = trajectory.solved, np.array([f.status is Status.COASTING for f in trajectory])
     times = trajectory.times
     marker = "." if len(trajectory) <= MARKED_FRAMES else ""
     figure = new_figure(11.5, 11.5)
@@ -95,10 +98,9 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
         (1, "tilt (about x)", X_COLOR),
         (2, "roll (about z)", Z_COLOR),
     ):
-        _line(angles, times, values[:, k], sigmas[:, k], color, label, marker)
-    angles.plot(
-        times, np.degrees(trajectory.turn), color=INK, linewidth=1.2, linestyle="--", label="total turn (0 to 180°)"
-    )
+        _line(angles, times, values[:, k], sigmas[:, k], coasting, color, label, marker)
+    turn = np.where(solved, np.degrees(trajectory.turn), np.nan)
+    angles.plot(times, turn, color=INK, linewidth=1.2, linestyle="--", label="total turn (0 to 180°)")
     angles.set_ylabel("angle (degrees)")
 
     start = trajectory.positions[solved][0] if solved.any() else np.full(3, np.nan)
@@ -106,14 +108,14 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     scale, unit = _readable(float(np.abs(moved[solved]).max(initial=0)), trajectory.unit)
     sigmas = np.array([f.sigma[3:] for f in trajectory])
     for k, label, color in ((0, "x", X_COLOR), (1, "y", Y_COLOR), (2, "z", Z_COLOR)):
-        _line(position, times, scale * moved[:, k], scale * sigmas[:, k], color, label, marker)
+        _line(position, times, scale * moved[:, k], scale * sigmas[:, k], coasting, color, label, marker)
     position.set_ylabel(f"position since the start ({unit})")
 
     colors = camera_colors(len(trajectory.camera_names))
     counts = np.array([f.inliers for f in trajectory], dtype=float)
     errors = np.array([f.residuals for f in trajectory], dtype=float)
-    # The first frame is matched with nothing: its zeros are no measurement.
-    unmatched = np.array([f.status is Status.FIRST for f in trajectory])
+    # The first frame is matched with nothing, and coasting ones found nothing: their zeros are no measurement.
+    unmatched = np.array([f.status in (Status.FIRST, Status.COASTING) for f in trajectory])
     counts[unmatched], errors[unmatched] = np.nan, np.nan
     for k, name in enumerate(trajectory.camera_names):
         dash = DASHES[k // len(CAMERA_COLORS) % len(DASHES)]
@@ -136,7 +138,7 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     band = [Patch(color=Z_COLOR, alpha=0.25, linewidth=0, label="± 2 standard deviations")]
     handles: list[Line2D | Patch] = [*angles.get_lines(), *band, *shading]
     _legend(angles, [h for h in handles if not str(h.get_label()).startswith("_")])
-    _legend(position, list(position.get_lines()))
+    _legend(position, [line for line in position.get_lines() if not str(line.get_label()).startswith("_")])
     _legend(inliers, list(inliers.get_lines()))
     figure.align_ylabels(panels)
     save_figure(figure, path)
@@ -167,8 +169,20 @@ def _readable(length: float, unit: str) -> tuple[float, str]:
     return 1.0, unit or "units"
 
 
-def _line(panel: Axes, x: FloatArray, y: FloatArray, sigma: FloatArray, color: str, label: str, marker: str) -> None:
-    panel.plot(x, y, color=color, label=label, linewidth=1.6, marker=marker)
+def _line(
+    panel: Axes,
+    x: FloatArray,
+    y: FloatArray,
+    sigma: FloatArray,
+    coasting: BoolArray,
+    color: str,
+    label: str,
+    marker: str,
+) -> None:
+    """What was measured as a line, and what was carried on only as pale dots that are not joined to it."""
+    panel.plot(x, np.where(coasting, np.nan, y), color=color, label=label, linewidth=1.6, marker=marker)
+    if coasting.any():
+        panel.plot(x, np.where(coasting, y, np.nan), ".", color=color, alpha=0.4, markersize=3, label="_coasting")
     sigma = np.where(np.isfinite(sigma), sigma, np.nan)
     panel.fill_between(x, y - 2 * sigma, y + 2 * sigma, color=color, alpha=0.18, linewidth=0)
 
@@ -189,11 +203,13 @@ def _legend(panel: Axes, handles: list[Line2D] | list[Line2D | Patch]) -> None:
 
 
 def _shade(panels: list[Axes], trajectory: Trajectory) -> list[Patch]:
-    """Strips behind the frames that have no pose, and those whose displacement is not known; returns legend entries."""
+    """Strips behind frames that have no pose, coast, or do not tell how far it moved; returns legend entries."""
     partial = np.array([f.status is Status.SCALE_NOT_OBSERVABLE for f in trajectory])
     entries = []
+    coasting = np.array([f.status is Status.COASTING for f in trajectory])
     for frames, color, label in (
-        (~trajectory.solved, NO_POSE_COLOR, "no pose"),
+        (~trajectory.solved & ~coasting, NO_POSE_COLOR, "no pose"),
+        (coasting, COASTING_COLOR, "coasting: not seen, carried on"),
         (partial, PARTIAL_COLOR, Status.SCALE_NOT_OBSERVABLE.value),
     ):
         for start, stop in _strips(trajectory.times, frames):
@@ -224,7 +240,7 @@ def _unwrapped(trajectory: Trajectory) -> FloatArray:
     """
     out = np.array([f.pan_tilt_roll for f in trajectory])
     before = np.zeros(3)
-    for i in np.flatnonzero(trajectory.solved):
+    for i in np.flatnonzero(np.isfinite(out).all(axis=1)):
         row = out[i]
         candidates = np.array([row, [row[0] + np.pi, np.pi - row[1], row[2] + np.pi]])
         candidates += 2 * np.pi * np.round((before - candidates) / (2 * np.pi))

@@ -62,7 +62,7 @@ def write_recording(recording: Recording, out_dir: str | Path) -> None:
     With it goes the truth: `groundtruth.tum` (world_from_object at the nominal times) and `dataset.toml` (the first
     object's centre in the first frame) as `write_sequence` writes them, `vertices.txt` (the body's corners in the object's
     frame), `visible.csv` (of `visible_shares`), each with `_OBJECT` in its name where there are several, and
-    `offsets.toml` (the skew).
+    `true_offsets.toml` (the skew).
 
     Raises:
         OSError: a folder or file that cannot be written.
@@ -99,7 +99,7 @@ def write_recording(recording: Recording, out_dir: str | Path) -> None:
         (out / "boxes.toml").write_text("\n".join(boxes) + "\n")
     if recording.skew is not None:
         offsets = [f"{name} = {offset}" for name, offset in zip(rig.names, recording.skew, strict=True)]
-        (out / "offsets.toml").write_text("\n".join(offsets) + "\n")
+        (out / "true_offsets.toml").write_text("\n".join(offsets) + "\n")
     if recording.stamped or recording.shown is not None:
         stamps = np.tile(np.arange(scene.frames)[:, None] / FRAME_RATE, (1, len(rig)))
         if recording.stamped and recording.skew is not None:

@@ -1,0 +1,126 @@
+"""`track_session` for a terminal: what is known before, a progress bar, interrupts, what was found."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sylpose.app import text
+from sylpose.app.notes import notes
+from sylpose.app.run import Run, output_path, track_session
+from sylpose.capture import Session
+from sylpose.capture.live import LiveSession
+from sylpose.fit import warm_up
+
+__all__ = ["track_aloud", "why_nothing"]
+
+
+def track_aloud(session: Session | LiveSession, out: Path | None, **options: Any) -> Run:
+    """`track_session` with everything that is said about it; `options` are those of `track_session`.
+
+    Ctrl-C ends the run after the present frame, twice at once. Live sessions end with it as if the cameras had ended.
+
+    Raises:
+        KeyboardInterrupt: with a sentence.
+        ValueError, OSError: as `track_session`.
+    """
+    console = text.make_console()
+    console.print(text.headline(session))
+    start, stop, every = options.get("start", 0), options.get("stop"), options.get("every", 1)
+    text.print_warnings(console, notes(session, start))
+    frames = None
+    if session.n_frames is not None:
+        frames = len(range(start, session.n_frames if stop is None else min(stop, session.n_frames), max(every, 1)))
+    elif stop is not None:
+        frames = len(range(start, stop, max(every, 1)))
+    problems: list[str] = []
+    with console.status("Loading (the first time after an installation: compiling, half a minute) ..."):
+        warm_up()
+    with (
+        text.TrackingProgress(len(session.rig), frames, len(session.objects)) as progress,
+        _interrupts(session) as asked,
+    ):
+
+        def on_problem(problem: str) -> None:
+            problems.append(problem)
+            if isinstance(session, LiveSession):  # it may go on for hours
+                text.print_warnings(console, [problem])
+
+        def on_resume(done: int) -> None:
+            console.print(f"Going on after {done} of {frames} frames.")
+            progress.skip(done)
+
+        try:
+            run = track_session(
+                session,
+                out,
+                on_resume=on_resume,
+                on_frame=progress.update,
+                on_problem=on_problem,
+                interrupted=asked,
+                **options,
+            )
+        except BaseException as error:
+            progress.stop()
+            if not isinstance(session, LiveSession):
+                text.print_warnings(console, problems)
+            of = "" if frames is None else f" of {frames}"
+            said = f"after {progress.done}{of} frames; what was computed is in {output_path(session, out)}"
+            if isinstance(error, KeyboardInterrupt):
+                raise KeyboardInterrupt(f"interrupted {said}") from None
+            if progress.tracked:
+                text.say(f"stopped {said}")
+            raise
+    console.print()
+    text.print_summary(console, run, progress.tracked)
+    return run
+
+
+@contextmanager
+def _interrupts(session: Session | LiveSession) -> Iterator[Callable[[], bool]]:
+    """Within it the first Ctrl-C is only remembered; gives what tells whether there was one."""
+    asked = threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+    # Only the main thread may; and whoever ignores or handles interrupts has a reason.
+    if threading.current_thread() is not threading.main_thread() or before is not signal.default_int_handler:
+        yield asked.is_set
+        return
+
+    def remember(*_: object) -> None:
+        signal.signal(signal.SIGINT, before)
+        if isinstance(session, LiveSession):
+            session.stop()  # the ordinary end of a live session
+        else:
+            asked.set()
+
+    signal.signal(signal.SIGINT, remember)
+    try:
+        yield asked.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def why_nothing(session: Session | LiveSession, run: Run) -> list[str]:
+    """A sentence for each object that was found in no frame."""
+    said = []
+    for name, trajectory in run.trajectories.items():
+        if text.solved(trajectory):
+            continue
+        prefix = f"{name}: " if len(run.trajectories) > 1 else ""
+        statuses = [frame.status for frame in trajectory if frame.world_from_object is None]
+        if not len(trajectory):
+            said.append(f"{prefix}no frame was tracked")
+        elif not statuses:
+            said.append(f"{prefix}no motion could be found: there is only the first frame, to which all is relative")
+        else:
+            sentence = f"{prefix}no frame could be solved. {max(statuses, key=statuses.count).text}"
+            if not session.of(name).boxes and session.masks is None:
+                sentence += (
+                    " Boxes of the object in the first frame (--boxes) or masks (--masks) would help to find it."
+                )
+            said.append(sentence)
+    return said

@@ -1,0 +1,32 @@
+"""What to know about a session before it is tracked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sylpose.capture import Session
+from sylpose.capture.live import LiveSession
+
+__all__ = ["notes"]
+
+
+def notes(session: Session | LiveSession, start: int = 0) -> list[str]:
+    """What to know about a session before it is tracked from frame `start` on, in sentences."""
+    found = [*session.warnings]
+    if isinstance(session, LiveSession):
+        return found
+    n, parts = session.n_frames, []
+    for name, column in zip(session.rig.names, session.timeline.frames.T, strict=True):
+        shown = np.flatnonzero(column >= 0)
+        if not len(shown):
+            parts.append(f"{name} has none of them")
+        elif len(shown) < n:
+            missing = int(shown[-1] - shown[0] + 1 - len(shown))
+            within = f" without {missing} in between" if missing else ""
+            parts.append(f"{name} has {shown[0]} to {shown[-1]}{within}")
+    if parts:
+        found.append(f"Not every camera has all frames 0 to {n - 1}: {', '.join(parts)}.")
+    # All objects have boxes or none.
+    if session.of(session.objects[0]).boxes and start > 0:
+        found.append(f"The boxes are taken to be of frame {start}, where tracking starts.")
+    return found
