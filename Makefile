@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint format bench clean
+.PHONY: demo test lint format bench bench-tracking clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("sylpose needs Python 3.11 or newer; set PYTHON=...") if sys.version_info < (3, 11) else None'
@@ -35,6 +35,10 @@ lint: $(VENV)/.installed-dev
 # About 15 minutes. Quick, or a part of it: see `python benchmarks/two_frames.py --help`.
 bench: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/two_frames.py --compare benchmarks/two_frames_baseline.json
+
+# About an hour, most of it rendering, the peers and the two long ones; parts of it: `benchmarks/tracking.py --help`.
+bench-tracking: $(VENV)/.installed-bench
+	$(BIN)/python benchmarks/tracking.py --compare benchmarks/tracking_baseline.json
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

@@ -270,8 +270,8 @@ def must_hold(rows: Sequence[Row]) -> str:
     ours = [row for row in rows if row.by.startswith("sylpose")]
     for target in TARGETS:
         for row in ours:
-            # Without an option, the features are SIFT's.
-            features = "klt" if "klt" in row.by else "auto" if "auto" in row.by else "sift"
+            # Without an option, they are followed.
+            features = "sift" if "sift" in row.by else "klt"
             if row.data == target.data and target.option in ("", features):
                 add(f"{row.data}, {row.by}: {target.figure}", FIGURES[target.figure](row), target.limit, target.least)
     for row in ours:

@@ -6,7 +6,7 @@ writes one of them as a session: videos, calibration.toml, boxes.toml (a table p
 timestamps.csv where the cameras' times matter.
 With it goes the truth: groundtruth.tum and dataset.toml as `sylpose.simulate` writes them, vertices.txt (the body's
 corners in the object's frame) and visible.csv (which share of these each camera shows in each frame), with _OBJECT in their
-names where there are two, and, with clocks that differ, true_offsets.toml (seconds, positive for a camera that is exposed late).
+names where there are two, and, with clocks that differ, true_offsets.toml (seconds, positive for late ones).
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ def test_exact_without_noise() -> None:
     assert np.abs(error(poses, found.world_from_object)).max() < 1e-7
     often = np.bincount(seen.landmark)[seen.landmark] >= 2
     assert found.residuals[often].max() < 1e-4
-    assert (found.weights[often] == 1.0).mean() > 0.999
+    assert (found.weights[often] > 0.99).mean() > 0.999
     assert not found.weights[~often].any()
 
 
@@ -245,6 +245,39 @@ def test_covariance() -> None:
         normalised.append(e @ np.linalg.solve(found.covariance[-1], e))
     assert 4.8 < np.mean(normalised) < 7.2  # 6 and two standard deviations of the mean of 40
     assert not found.covariance[0].any()
+
+
+def test_covariance_of_errors_that_are_alike() -> None:
+    """Noise that hardly changes from one sight of a landmark to the next: 4 of 5 parts stay."""
+    poses, narrow, wide = path(0.4 * np.arange(15)), [], []
+    for seed in range(12):
+        seen, rng = tracks([poses] * 4, 40, 0.0, seed, longest=15), np.random.default_rng(seed)
+        order, noise = np.lexsort((seen.frame, seen.landmark)), rng.standard_normal((len(seen), 2))
+        same = np.diff(seen.landmark[order], prepend=-1) == 0
+        for i in np.flatnonzero(same):
+            noise[order[i]] = 0.8 * noise[order[i - 1]] + 0.6 * noise[order[i]]
+        found = bundle(RIG, replace(seen, image=seen.image + 0.3 / 1000.0 * noise), off(poses), RADIUS)
+        e = error(poses, found.world_from_object)[-1]
+        wide.append(e @ np.linalg.solve(found.covariance[-1], e))
+        narrow.append(found.excess[-1] * wide[-1])
+    assert np.mean(narrow) > 12.0
+    assert 3.0 < np.mean(wide) < 10.0
+
+
+def test_covariance_with_a_camera_that_has_moved() -> None:
+    poses = path(np.arange(15))
+    seen = tracks([poses] * 4, 40, 0.3, 0)
+    straight = bundle(RIG, seen, off(poses), RADIUS)
+    first = RIG.cameras[0]
+    turned = RigidTransform.from_rotation(Rotation.from_rotvec([0.0, 0.0, 0.05])) * first.camera_from_world
+    rig = Rig([Camera(first.name, first.size, first.matrix, first.distortion, turned), *RIG.cameras[1:]])
+    crooked = bundle(rig, seen, off(poses), RADIUS)
+    assert straight.excess.max() < 3.0
+    assert crooked.excess[-1] > 5.0
+    assert crooked.excess[0] == 1.0
+    e = error(poses, crooked.world_from_object)[1:]
+    normalised = np.einsum("ni,nij,nj->n", e, np.linalg.inv(crooked.covariance[1:]), e)
+    assert (crooked.excess[1:] * normalised).mean() > 15.0 > 12.0 > normalised.mean()
 
 
 def test_time_offsets() -> None:

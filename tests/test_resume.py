@@ -202,7 +202,7 @@ def test_other_options_or_another_session(session: Path, capsys: pytest.CaptureF
         ("--method", "epipolar", "method landmarks, not epipolar"),
         ("--seed", 1, "seed 0, not 1"),
         ("--stop", 9, "stop none, not 9"),
-        ("--features", "klt", "features sift, not klt"),
+        ("--features", "klt", "features auto, not klt"),
     ):
         said = refused(capsys, session, option, value)
         assert words in said

@@ -31,6 +31,9 @@ BoolArray = NDArray[np.bool_]
 
 # The noise level follows the residuals until it changes by less than this, or for so many rounds; then it is held.
 SIGMA_SETTLED, SIGMA_ROUNDS = 0.05, 8
+# Weights follow the residuals until the step's square, in standard deviations and per frame, is less than this, or for so
+# many rounds; then they are held: each that is still about to change draws the rest on a little, in ever more rounds.
+WEIGHTS_SETTLED, WEIGHTS_ROUNDS = 0.02, 10
 # Converged when the step, all frames together, is a tenth of a standard deviation: what is left after it is much less.
 SETTLED = 0.1**2
 # Attempts per round to find a step that lowers the cost.
@@ -75,6 +78,8 @@ class Bundled:
         offsets: (C,) seconds by which each camera is late, their mean 0; offsets_sd: (C,) their standard deviations, which
             come near the prior's where the motion does not show them. Zeros when not asked for.
         rounds: of Levenberg-Marquardt.
+        excess: (N,) by what the variances are larger than independent noise of sigma_px would have them, at least 1:
+            errors are alike along tracks, and where the calibration is off (`bundle_spread`).
     """
 
     status: Status
@@ -88,6 +93,7 @@ class Bundled:
     offsets: FloatArray
     offsets_sd: FloatArray
     rounds: int
+    excess: FloatArray
 
 
 def bundle(
@@ -173,15 +179,15 @@ def bundle(
     if (tied & ~stays).any():
         fit = _minimise(problem, state, max_rounds)
     else:
-        unknown = np.zeros(len(seen))
-        sigma = problem.noise(problem.residuals(state), unknown)
-        fit = _Fit(state, Status.TOO_FEW_MATCHES, 0, sigma, unknown)
-    state, summary = fit.state, problem.summary(fit.state, fit.sigma, fit.leverage)
+        unknown, e = np.zeros(len(seen)), problem.residuals(state)
+        sigma = problem.noise(e, unknown)
+        fit = _Fit(state, Status.TOO_FEW_MATCHES, 0, problem.weights(e, sigma), sigma, unknown)
+    state, summary = fit.state, problem.summary(fit.state, fit.weights, fit.sigma, fit.leverage)
 
     points = np.zeros((n_landmarks, 3)) if given is None else given.copy()
     points[names] = state.points
     weights, distances = np.empty(len(seen)), np.empty(len(seen))
-    weights[order], distances[order] = summary.weights, summary.distances
+    weights[order], distances[order] = fit.weights, summary.distances
     asked = offsets_sd is not None
     unused = np.setdiff1d(np.arange(n_cameras), seen.camera)
     summary.sigma[unused] = np.nan
@@ -200,16 +206,18 @@ def bundle(
         state.offsets,
         spread,
         fit.rounds,
+        summary.excess,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Where the search settled, with the noise (C,) and the leverage (n,) it ended with."""
+    """Where the search settled, with the weights (n,), the noise (C,) and the leverage (n,) it ended with."""
 
     state: State
     status: Status
     rounds: int
+    weights: FloatArray
     sigma: FloatArray
     leverage: FloatArray
 
@@ -219,34 +227,37 @@ def _minimise(problem: Problem, state: State, max_rounds: int) -> _Fit:
     e = problem.residuals(state)
     sigma = np.full(len(problem.focals), np.inf)
     leverage = np.full(len(e), min(1.0, 3.0 * len(state.points) / max(len(e), 1)))
-    damping, settled = 0.0, False
+    damping, settled, held = 0.0, False, None
     for rounds in range(1, max_rounds + 1):
         if not settled:
             before, sigma = sigma, problem.noise(e, leverage)
             state = problem.with_strays_back(state, e, sigma)
             e = problem.residuals(state)
             settled = bool(np.all(np.abs(sigma - before) < SIGMA_SETTLED * sigma)) or rounds >= SIGMA_ROUNDS
-        cost = problem.cost(e, sigma, state)
+        cost = problem.cost(e, sigma, state, held)
         views = problem.views(state)
-        weights = problem.weights(e, sigma) / sigma[problem.sightings.camera] ** 2
-        system = problem.system(state, views, weights)
+        weights = problem.weights(e, sigma) if held is None else held
+        scaled = weights / sigma[problem.sightings.camera] ** 2
+        system = problem.system(state, views, scaled)
         leverage = system.reduced.leverage
         for _ in range(MAX_TRIES):
             step, offsets, size = system.solve(damping)
-            trial = problem.moved(state, views, weights, step, offsets)
+            trial = problem.moved(state, views, scaled, step, offsets)
             e = problem.residuals(trial)
-            if problem.cost(e, sigma, trial) <= cost * (1.0 + 1e-12) or size < 1e-3 * SETTLED:
+            if problem.cost(e, sigma, trial, held) <= cost * (1.0 + 1e-12) or size < 1e-3 * SETTLED:
                 break
             damping = max(30.0 * damping, 1e-5)
         else:
-            return _Fit(state, Status.NOT_CONVERGED, rounds, sigma, leverage)
+            return _Fit(state, Status.NOT_CONVERGED, rounds, weights, sigma, leverage)
         damping = damping / 30.0 if damping > 1e-5 else 0.0
         state = problem.with_motion(trial)
         if problem.timed:
             e = problem.residuals(state)
         if settled and size < SETTLED:
-            return _Fit(state, Status.OK, rounds, sigma, leverage)
-    return _Fit(state, Status.NOT_CONVERGED, max_rounds, sigma, leverage)
+            return _Fit(state, Status.OK, rounds, weights, sigma, leverage)
+        if settled and held is None and (size < WEIGHTS_SETTLED * len(state.turns) or rounds >= WEIGHTS_ROUNDS):
+            held = problem.weights(e, sigma)
+    return _Fit(state, Status.NOT_CONVERGED, max_rounds, weights, sigma, leverage)
 
 
 def _finite(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:

@@ -21,6 +21,7 @@ __all__ = [
     "derivatives",
     "reduce",
     "residuals",
+    "scores",
     "substitute",
 ]
 
@@ -242,7 +243,8 @@ def reduce(seen: Sightings, views: Views, points: FloatArray, weights: FloatArra
     # Of each of the landmark's frames, and of each camera's offset: its rows with the landmark, in the landmark's terms.
     frames, shared = np.empty(longest, np.int64), np.empty((longest, 3, 6))
     timed = np.zeros((n_offsets, 3))
-    rows = np.empty((3, 2))
+    rows, za = np.empty((3, 2)), np.empty((3, 6))
+    columns, blocks, gradient = out.columns, out.blocks, out.gradient
     for i in range(points.shape[0]):
         if not _landmark(seen, views, points[i], i, weights, prior, e, by_pose, by_point, root, slope):
             continue
@@ -283,18 +285,49 @@ def reduce(seen: Sightings, views: Views, points: FloatArray, weights: FloatArra
                     mine[j, p] += j0 * rows[j, 0] + j1 * rows[j, 1]
                 if n_offsets > 0:
                     out.border[k, p, c] += j0 * by_pose[o, 0, 6] + j1 * by_pose[o, 1, 6]
+        # This loop takes most of the time. Numbers are taken out before any is stored: compilers cannot know that the
+        # arrays are not the same.
         for a in range(count):
-            row, za = frames[a], shared[a]
+            row = frames[a]
             low = out.indptr[row]
             for p in range(6):
-                out.gradient[row, p] -= za[0, p] * slope[0] + za[1, p] * slope[1] + za[2, p] * slope[2]
+                za[0, p], za[1, p], za[2, p] = shared[a, 0, p], shared[a, 1, p], shared[a, 2, p]
+                gradient[row, p] -= za[0, p] * slope[0] + za[1, p] * slope[1] + za[2, p] * slope[2]
             for b in range(a + 1):
-                low = place_of(out.columns, low, out.indptr[row + 1], frames[b])
-                block, zb = out.blocks[low], shared[b]
+                while columns[low] < frames[b]:  # most landmarks are seen in frames that follow each other
+                    low += 1
+                x00, x01, x02, x03, x04, x05 = (
+                    shared[b, 0, 0],
+                    shared[b, 0, 1],
+                    shared[b, 0, 2],
+                    shared[b, 0, 3],
+                    shared[b, 0, 4],
+                    shared[b, 0, 5],
+                )
+                x10, x11, x12, x13, x14, x15 = (
+                    shared[b, 1, 0],
+                    shared[b, 1, 1],
+                    shared[b, 1, 2],
+                    shared[b, 1, 3],
+                    shared[b, 1, 4],
+                    shared[b, 1, 5],
+                )
+                x20, x21, x22, x23, x24, x25 = (
+                    shared[b, 2, 0],
+                    shared[b, 2, 1],
+                    shared[b, 2, 2],
+                    shared[b, 2, 3],
+                    shared[b, 2, 4],
+                    shared[b, 2, 5],
+                )
                 for p in range(6):
                     z0, z1, z2 = za[0, p], za[1, p], za[2, p]
-                    for s in range(6):
-                        block[p, s] -= z0 * zb[0, s] + z1 * zb[1, s] + z2 * zb[2, s]
+                    blocks[low, p, 0] -= z0 * x00 + z1 * x10 + z2 * x20
+                    blocks[low, p, 1] -= z0 * x01 + z1 * x11 + z2 * x21
+                    blocks[low, p, 2] -= z0 * x02 + z1 * x12 + z2 * x22
+                    blocks[low, p, 3] -= z0 * x03 + z1 * x13 + z2 * x23
+                    blocks[low, p, 4] -= z0 * x04 + z1 * x14 + z2 * x24
+                    blocks[low, p, 5] -= z0 * x05 + z1 * x15 + z2 * x25
             for c in range(n_offsets):
                 for p in range(6):
                     out.border[row, p, c] -= za[0, p] * timed[c, 0] + za[1, p] * timed[c, 1] + za[2, p] * timed[c, 2]
@@ -345,6 +378,56 @@ def substitute(
         out[i, 0] -= root[0, 0] * s0 + root[1, 0] * s1 + root[2, 0] * s2
         out[i, 1] -= root[1, 1] * s1 + root[2, 1] * s2
         out[i, 2] -= root[2, 2] * s2
+
+
+@kernel
+def scores(
+    seen: Sightings,
+    views: Views,
+    points: FloatArray,
+    weights: FloatArray,
+    prior: float,
+    group: IntArray,
+    by_pose_sum: FloatArray,
+    by_offset_sum: FloatArray,
+    shares: FloatArray,
+) -> None:
+    """What each of G groups of observations, `group` (n,), adds to the reduced system; the three sums are zero at the start.
+
+    by_pose_sum (F, G, 6) and by_offset_sum (G, C) become its gradient, shares (F, G, 6, 6) its information about each frame.
+    """
+    longest = _longest(seen.start)
+    e, by_pose, by_point = np.empty((longest, 2)), np.empty((longest, 2, 7)), np.empty((longest, 2, 3))
+    root, slope, rows, shared = np.zeros((3, 3)), np.empty(3), np.empty((3, 2)), np.empty((3, 6))
+    for i in range(points.shape[0]):
+        if not _landmark(seen, views, points[i], i, weights, prior, e, by_pose, by_point, root, slope):
+            continue
+        for n in range(seen.start[i], seen.start[i + 1]):
+            w = weights[n]
+            if w <= 0.0:
+                continue
+            o, k, c, g = n - seen.start[i], seen.free[seen.frame[n]], seen.camera[n], group[n]
+            shared[:] = 0.0
+            for a in range(2):
+                x, y, z = by_point[o, a]
+                rows[0, a] = root[0, 0] * x
+                rows[1, a] = root[1, 0] * x + root[1, 1] * y
+                rows[2, a] = root[2, 0] * x + root[2, 1] * y + root[2, 2] * z
+                r = w * (e[o, a] - rows[0, a] * slope[0] - rows[1, a] * slope[1] - rows[2, a] * slope[2])
+                by_offset_sum[g, c] += by_pose[o, a, 6] * r
+                if k < 0:
+                    continue
+                for p in range(6):
+                    by_pose_sum[k, g, p] += by_pose[o, a, p] * r
+                    for j in range(3):
+                        shared[j, p] += w * by_pose[o, a, p] * rows[j, a]
+            if k < 0:
+                continue
+            for p in range(6):
+                for q in range(6):
+                    whole = w * (by_pose[o, 0, p] * by_pose[o, 0, q] + by_pose[o, 1, p] * by_pose[o, 1, q])
+                    used = shared[0, p] * shared[0, q] + shared[1, p] * shared[1, q] + shared[2, p] * shared[2, q]
+                    shares[k, g, p, q] += whole - used
 
 
 @kernel

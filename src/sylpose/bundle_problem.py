@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from sylpose.bundle_kernels import BEHIND_PX, Reduced, Sightings, Views, reduce, residuals, substitute, where_rays_meet
+from sylpose.bundle_spread import excess_variance
 from sylpose.bundle_system import System
 from sylpose.robust import robust_sigma
 
@@ -47,13 +48,13 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """sigma (C,) pixels, weights (n,), distances (n,) pixels, covariance (N, 6, 6), offsets_covariance (C, C)."""
+    """sigma (C,) pixels, distances (n,) pixels, covariance (N, 6, 6), offsets_covariance (C, C), excess (N,)."""
 
     sigma: FloatArray
-    weights: FloatArray
     distances: FloatArray
     covariance: FloatArray
     offsets_covariance: FloatArray
+    excess: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,14 +135,19 @@ class Problem:
 
     def weights(self, e: FloatArray, sigma: FloatArray) -> FloatArray:
         """(n,) robust weights of residuals (n, 2)."""
-        square, top = (e**2).sum(axis=1), (CUTOFF * sigma[self.sightings.camera]) ** 2
+        square, top = np.einsum("ni,ni->n", e, e), (CUTOFF * sigma[self.sightings.camera]) ** 2
         inside = (square < top) & (square < BEHIND_PX**2)
         return self.counted * np.where(inside, (1.0 - (np.minimum(square, top) / top) ** 2) ** 2, 0.0)
 
-    def cost(self, e: FloatArray, sigma: FloatArray, state: State) -> float:
-        """Half the squares in standard deviations, saturating for outliers, and the same of what is believed."""
-        q = np.minimum((e**2).sum(axis=1) / (CUTOFF * sigma[self.sightings.camera]) ** 2, 1.0)
-        total = 0.5 * CUTOFF**2 * float(self.counted @ (q - 2.0 / 3.0 * q**3 + 0.2 * q**5))
+    def cost(self, e: FloatArray, sigma: FloatArray, state: State, held: FloatArray | None) -> float:
+        """Half the squares in standard deviations, with weights (n,) that are held, or else saturating for outliers; and
+        the same of what is believed."""
+        q = np.einsum("ni,ni->n", e, e) / (CUTOFF * sigma[self.sightings.camera]) ** 2
+        if held is None:
+            q = np.minimum(q, 1.0)
+            total = 0.5 * CUTOFF**2 * float(self.counted @ (q - 2.0 / 3.0 * q**3 + 0.2 * q**5))
+        else:
+            total = 0.5 * CUTOFF**2 * float(held @ q)
         change = self._change(state)
         total += 0.5 * float(np.einsum("ni,nij,nj->", change, self.prior, change))
         total += 0.5 * self.pull * float((state.points**2).sum())
@@ -160,32 +166,41 @@ class Problem:
         pooled = robust_sigma(_some(coordinates[used]), SIGMA_FLOOR_PX)
         of_camera = [coordinates[used & (camera == c)] for c in range(n)]
         bulk = [robust_sigma(_some(x), SIGMA_FLOOR_PX) if len(x) > OWN_FREEDOM else pooled for x in of_camera]
-        return self.refined_noise(e, leverage, np.array(bulk))
+        return self.refined_noise(e, self.weights(e, np.array(bulk)), leverage)
 
-    def refined_noise(self, e: FloatArray, leverage: FloatArray, sigma: FloatArray) -> FloatArray:
-        """(C,) noise of each camera, pixels, from the residuals that a first idea of it leaves weight."""
+    def refined_noise(self, e: FloatArray, weights: FloatArray, leverage: FloatArray) -> FloatArray:
+        """(C,) noise of each camera, pixels, from the residuals and their weights."""
         n, camera = len(self.focals), self.sightings.camera
         poses = 6.0 * self.pattern.shape[0]
-        weights = self.weights(e, sigma)
         own = 2.0 - leverage - min(poses / max(float(weights.sum()), 1.0), 0.5)
-        squares = np.bincount(camera, weights * (e**2).sum(axis=1) / KEPT_SQUARE, minlength=n)
+        squares = np.bincount(camera, weights * np.einsum("ni,ni->n", e, e) / KEPT_SQUARE, minlength=n)
         freedom = np.bincount(camera, weights * np.maximum(own, 0.0), minlength=n)
         pooled = squares.sum() / max(freedom.sum(), 1e-9)
         variance = (squares + OWN_FREEDOM * pooled) / (freedom + OWN_FREEDOM)
         return np.asarray(np.sqrt(np.maximum(variance, SIGMA_FLOOR_PX**2)))
 
-    def summary(self, state: State, sigma: FloatArray, leverage: FloatArray) -> Summary:
-        """What a state says, weights and uncertainty; with the noise (C,) and leverage (n,) that led to it."""
+    def summary(self, state: State, weights: FloatArray, sigma: FloatArray, leverage: FloatArray) -> Summary:
+        """What a state says; with the weights (n,), noise (C,) and leverage (n,) that led to it."""
         e = self.residuals(state)
-        weights = self.weights(e, sigma)
-        sigma = self.refined_noise(e, leverage, sigma)
+        sigma = self.refined_noise(e, weights, leverage)
+        views, pull = self.views(state), (PRIOR_RADII_COVARIANCE * self.radius) ** -2
         scaled = weights / sigma[self.sightings.camera] ** 2
-        system = self.system(state, self.views(state), scaled, (PRIOR_RADII_COVARIANCE * self.radius) ** -2)
-        covariance, offsets = system.covariance()
-        return Summary(sigma, weights, np.linalg.norm(e, axis=1), covariance, self._offsets_covariance(offsets))
+        system = self.system(state, views, scaled, pull)
+        factor = system.factor(0.0)
+        covariance, offsets = system.covariance(factor)
+        moving = self.sightings.free >= 0
+        excess = np.ones(len(moving))
+        excess[moving] = excess_variance(
+            self.sightings, views, state.points, scaled, pull, system, factor, covariance[moving]
+        )
+        # Of what the observations tell, not of what is believed.
+        told = np.linalg.inv(covariance[moving]) - self.prior[moving]
+        covariance[moving] = np.linalg.inv(told / excess[moving, None, None] + self.prior[moving])
+        offsets = self._offsets_covariance(offsets, float(np.median(excess[moving])))
+        return Summary(sigma, np.linalg.norm(e, axis=1), covariance, offsets, excess)
 
-    def _offsets_covariance(self, covariance: FloatArray) -> FloatArray:
-        """(C, C) without the information that is only noise.
+    def _offsets_covariance(self, covariance: FloatArray, excess: float) -> FloatArray:
+        """(C, C) without the information that is only noise, the rest with its excess of variance.
 
         Speeds are differences of estimated poses, and their noise looks like a motion that is not uniform. A frame's six
         unknowns are its cameras' information's inverse: so, whatever the noise, each of C cameras seems to learn
@@ -199,7 +214,7 @@ class Problem:
         prior = np.eye(self.basis.shape[1]) / self.offsets_sd**2
         seeming = prior + 6.0 * share * (1.0 - share) * noise.sum() * np.eye(len(prior))
         values, vectors = np.linalg.eigh(np.linalg.inv(self.basis.T @ covariance @ self.basis) - seeming)
-        small = np.linalg.inv(vectors @ np.diag(np.maximum(values, 0.0)) @ vectors.T + prior)
+        small = np.linalg.inv(vectors @ np.diag(np.maximum(values / excess, 0.0)) @ vectors.T + prior)
         return np.asarray(self.basis @ small @ self.basis.T)
 
     def system(self, state: State, views: Views, weights: FloatArray, pull: float | None = None) -> System:

@@ -66,6 +66,10 @@ class System:
     free: IntArray
     basis: FloatArray
 
+    def frame_blocks(self) -> FloatArray:
+        """(F, 6, 6) each frame's information about itself, the other frames given."""
+        return self.reduced.blocks[self.reduced.indptr[1:] - 1]
+
     def factor(self, damping: float) -> Factor:
         """The frames' part, its diagonal enlarged by a share."""
         r, n = self.reduced, 6 * len(self.reduced.gradient)
@@ -82,24 +86,28 @@ class System:
     def solve(self, damping: float) -> tuple[FloatArray, FloatArray, float]:
         """Step of the frames (N, 6), of the offsets (C,), and the square of its length in standard deviations."""
         r = self.reduced
-        factor = self.factor(damping)
-        gradient = r.gradient.ravel()
-        x = -factor.solve(gradient)
-        offsets, size = np.zeros(len(self.basis)), 0.0
-        if self.basis.shape[1]:
-            border, gain, schur = self._bordered(factor)
-            z = -np.linalg.solve(schur, self.basis.T @ r.slope + border.T @ x)
-            x = x - gain @ z
-            offsets = self.basis @ z
-            size -= float((self.basis.T @ r.slope) @ z)
-        size -= float(gradient @ x)
-        step = np.zeros((len(self.free), 6))
-        step[self.free >= 0] = x.reshape(-1, 6)
-        return step, offsets, size
+        step, offsets = self.answer(r.gradient.reshape(-1, 1), r.slope[:, None], self.factor(damping))
+        size = float(r.gradient.ravel() @ step[:, 0]) + float(r.slope @ offsets[:, 0])
+        out = np.zeros((len(self.free), 6))
+        out[self.free >= 0] = -step.reshape(-1, 6)
+        return out, -self._all(offsets)[:, 0], size
 
-    def covariance(self) -> tuple[FloatArray, FloatArray]:
+    def answer(self, gradient: FloatArray, slope: FloatArray, factor: Factor) -> tuple[FloatArray, FloatArray]:
+        """Frames (6 F, g) and offsets (T, g) that the system, factored, gives for g right sides."""
+        x = factor.solve(gradient)
+        if not self.basis.shape[1]:
+            return x, np.zeros_like(slope)
+        border, gain, schur = self._bordered(factor)
+        z = np.linalg.solve(schur, self.basis.T @ slope - border.T @ x)
+        return x - gain @ z, self.basis @ z
+
+    def _all(self, offsets: FloatArray) -> FloatArray:
+        """(C, g) offsets of all cameras: zero without any asked for."""
+        return offsets if len(offsets) else np.zeros((len(self.basis), offsets.shape[1]))
+
+    def covariance(self, factor: Factor | None = None) -> tuple[FloatArray, FloatArray]:
         """Of the frames (N, 6, 6), and of the offsets (C, C)."""
-        factor = self.factor(0.0)
+        factor = self.factor(0.0) if factor is None else factor
         blocks = factor.inverse_blocks()
         offsets = np.zeros((len(self.basis),) * 2)
         if self.basis.shape[1]:

@@ -1,4 +1,4 @@
-"""The command line: `sylpose track`, `check`, `demo` and `calibration convert`."""
+"""The command line: `sylpose track`, `check`, `sync`, `demo` and `calibration convert`."""
 
 from __future__ import annotations
 
@@ -334,6 +334,34 @@ def check(
     if obstacles := check.obstacles(places):
         raise ValueError("; ".join(obstacles))
     console.print("Ready to track." if not found else "Can be tracked; see the warnings above.")
+
+
+@app.command(
+    short_help="How far apart in time the cameras are.",
+    epilog=examples("sylpose sync recording", "sylpose sync recording --max-lag 10 --start 200 --stop 600"),
+)
+@spoken
+def sync(
+    session: SessionPath,
+    calibration: CalibrationFile = None,
+    boxes: BoxesFile = None,
+    masks: MasksFolder = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where the offsets go; SESSION/offsets.toml by default.")
+    ] = None,
+    max_lag: Annotated[float, typer.Option(metavar="SEC", help="How far apart two cameras may be.")] = 3.0,
+    start: Annotated[int, typer.Option(metavar="N", help="The first frame to look at.")] = 0,
+    stop: Annotated[int | None, typer.Option(metavar="N", help="The frame to stop before; all by default.")] = None,
+    seed: Seed = 0,
+) -> None:
+    """How far apart in time the cameras are, from the recorded motion. Writes offsets.toml, which track uses."""
+    from sylpose.app.sync import Known, sync_aloud
+    from sylpose.capture import open_session
+
+    opened = open_session(session, calibration=calibration, boxes=boxes, masks=masks)
+    if set(sync_aloud(opened, out, max_lag=max_lag, start=start, stop=stop, seed=seed).known) == {Known.NOT}:
+        _say("no offset could be found; nothing was written")
+        raise typer.Exit(FAILED)
 
 
 @app.command(

@@ -52,11 +52,6 @@ class Anchor:
     alive: list[BoolArray]
     images: list[NDArray[np.uint8] | None]
 
-    @property
-    def n_alive(self) -> int:
-        """Number of features that could still be seen."""
-        return sum(int(alive.sum()) for alive in self.alive)
-
 
 @dataclass(frozen=True, eq=False)
 class Followed:

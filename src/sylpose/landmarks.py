@@ -87,9 +87,7 @@ class Landmarks:
 
     def subset(self, index: NDArray[np.int64] | BoolArray) -> Landmarks:
         """Those that a mask or an index array picks."""
-        return Landmarks(
-            self.mean[index], self.information[index], self.seen[index], self.moved[index], self.id[index]
-        )
+        return Landmarks(self.mean[index], self.information[index], self.seen[index], self.moved[index], self.id[index])
 
 
 def rays(features: Features, camera: Camera, object_from_world: RigidTransform) -> tuple[FloatArray, FloatArray]:

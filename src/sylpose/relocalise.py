@@ -25,8 +25,9 @@ FloatArray = NDArray[np.float64]
 NEAREST, OTHERS = 6, 6
 # Landmarks whose depth is known to this share of the object's radius.
 KNOWN_DEPTH = 0.3
-# Fewer matches that agree are not believed.
-MIN_INLIERS = 12
+# Fewer matches that agree are not believed: a body of the same outline in the same place, or the object's unknown side,
+# makes about twenty; the object itself hundreds.
+MIN_INLIERS = 24
 MAX_ERROR_PX = 8.0
 
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import RigidTransform, Rotation, RotationSpline
 
 from sylpose.bundle import Bundled, Observations, bundle
 from sylpose.results import FramePose, Status
@@ -26,8 +27,10 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 # Landmarks seen less often than this tell next to nothing of the motion, and that with a bias: features that slide along
-# an edge or were confused are lost soon. They are used in frames that see less than so many better ones.
-OFTEN, ENOUGH = 5, 100
+# an edge or were confused are lost soon. They are used, the longer ones first, by frames with less than so many sights.
+OFTEN, ENOUGH = (8, 5, 2), 100
+# Measured poses on each side of a gap that the curve through it goes by.
+AROUND = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +60,8 @@ class Smoothed:
     """A refined trajectory.
 
     Attributes:
-        poses: of all frames; those that were not measured, or that nothing ties to the first, are as they were, but for
-            coasting ones, which are carried along with their neighbours.
+        poses: of all frames; those that nothing ties to the first are as they were. Coasting ones go between what was
+            measured before and after them, or, where one of it is missing, are carried along with what was before.
         status: OK; NOT_CONVERGED; TOO_FEW_MATCHES when there was nothing to refine: then the poses are as they were.
         offsets: (C,) seconds by which each camera is late, their mean 0, and offsets_sd: (C,) their standard deviations;
             zeros when not asked for.
@@ -100,6 +103,8 @@ def smooth(frames: Sequence[Track], rig: Rig, *, offsets_sd: float | None = None
     )
     if bundled.status is not Status.TOO_FEW_MATCHES:
         counts, residuals = _per_camera(bundled, seen, len(used), len(rig))
+        refined = np.zeros(len(frames), bool)
+        refined[[k for i, k in enumerate(used) if bundled.tied[i]]] = True
         for i, k in enumerate(used[1:], start=1):
             if bundled.tied[i]:
                 poses[k] = replace(
@@ -109,7 +114,7 @@ def smooth(frames: Sequence[Track], rig: Rig, *, offsets_sd: float | None = None
                     inliers=counts[i],
                     residuals=residuals[i],
                 )
-        _carry_along(poses, [frame.pose for frame in frames])
+        poses = _with_gaps_filled(poses, [frame.pose for frame in frames], refined)
     return Smoothed(tuple(poses), bundled.status, bundled.offsets, bundled.offsets_sd, bundled.sigma_px, bundled.rounds)
 
 
@@ -137,12 +142,12 @@ def _observations(frames: Sequence[Track]) -> tuple[Observations, FloatArray]:
 
 
 def _worth_using(frame: IntArray, landmark: IntArray) -> BoolArray:
-    """(n,) which sights to use: those of landmarks seen often, and where a frame has few of these, all seen twice."""
-    sights = np.bincount(landmark)[landmark]
-    often = sights >= OFTEN
-    poor = np.bincount(frame[often], minlength=int(frame.max(initial=-1)) + 1) < ENOUGH
-    needed = np.bincount(landmark, poor[frame])[landmark] > 0
-    return np.asarray(often | ((sights >= 2) & needed))
+    """(n,) which sights to use: those of landmarks seen often; where that leaves a frame few, of ones seen less often."""
+    sights, used = np.bincount(landmark)[landmark], np.zeros(len(frame), bool)
+    for least in OFTEN:
+        poor = np.bincount(frame, used) < ENOUGH
+        used |= (sights >= least) & (np.bincount(landmark, poor[frame])[landmark] > 0)
+    return used
 
 
 def _per_camera(bundled: Bundled, seen: Observations, n: int, cameras: int) -> tuple[IntArray, FloatArray]:
@@ -155,13 +160,32 @@ def _per_camera(bundled: Bundled, seen: Observations, n: int, cameras: int) -> t
     return counts.reshape(n, cameras).astype(np.int64), rms.reshape(n, cameras)
 
 
-def _carry_along(poses: list[FramePose], before: Sequence[FramePose]) -> None:
-    """Coasting poses keep their place relative to the last measured one."""
-    last: int | None = None
-    for k, pose in enumerate(poses):
-        if pose.measured:
-            last = k
-        elif last is not None and pose.world_from_object is not None:
-            old, new = before[last].world_from_object, poses[last].world_from_object
-            if old is not None and new is not None:
-                poses[k] = replace(pose, world_from_object=new * old.inv() * pose.world_from_object)
+def _with_gaps_filled(poses: Sequence[FramePose], before: Sequence[FramePose], refined: BoolArray) -> list[FramePose]:
+    """Coasting poses between two refined ones, with none lost between, go along a curve through what was measured around
+    them; others keep their place relative to the last measured pose, before -> now."""
+    out = list(poses)
+    measured = [k for k, pose in enumerate(before) if pose.measured]
+    for i, k in enumerate(measured):
+        end = measured[i + 1] if i + 1 < len(measured) else len(before)
+        gap = [g for g in range(k + 1, end) if before[g].world_from_object is not None]
+        if end < len(before) and refined[k] and refined[end] and 0 < len(gap) == end - k - 1:
+            around = [m for m in measured[max(0, i + 1 - AROUND) : i + 1 + AROUND] if refined[m]]
+            for g, pose in zip(gap, _between([poses[m] for m in around], [before[g].time for g in gap]), strict=True):
+                near, far = (k, g - k) if g - k <= end - g else (end, end - g)
+                # As uncertain as the nearer end, and what as many frames of coasting made of it.
+                spread = poses[near].covariance + before[k + far].covariance
+                out[g] = replace(before[g], world_from_object=pose, covariance=spread)
+            continue
+        old, new = before[k].world_from_object, poses[k].world_from_object
+        for g in gap:
+            there = before[g].world_from_object
+            if old is not None and new is not None and there is not None:
+                out[g] = replace(before[g], world_from_object=new * old.inv() * there)
+    return out
+
+
+def _between(known: Sequence[FramePose], times: Sequence[float]) -> RigidTransform:
+    """Poses at times (n,), on cubic splines through known ones."""
+    stacked, when = _stacked(known), np.array([pose.time for pose in known])
+    places = CubicSpline(when, stacked.translation)(times)
+    return RigidTransform.from_components(places, RotationSpline(when, stacked.rotation)(times))

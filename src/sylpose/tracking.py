@@ -51,9 +51,9 @@ AMBIGUOUS = (
 REGION_GROWTH, MAX_GROWTH = 0.15, 1.0
 # Features per camera while the object may be anywhere in the image.
 START_FEATURES = 4000
-# Features per camera of an anchor; and what of them must still be seen: this share of them and so many in all, while the
-# object has turned by less than this (radians) since.
-KLT_FEATURES, ANCHOR_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 400, 0.4, 60, np.radians(20.0)
+# Features per camera of an anchor; and what of them must still be seen: these shares of them, in all and in each camera,
+# and so many in all, while the object has turned by less than this (radians) since.
+KLT_FEATURES, ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 400, 0.4, 0.25, 60, np.radians(20.0)
 # Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before found.
 SPEED_ROUNDS = 2
 # An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
@@ -349,8 +349,9 @@ class Tracker:
         assert self._anchor is not None
         reference = self._anchor.reference
         turn = (ahead.rotation * reference.world_from_object.rotation.inv()).magnitude()
-        enough = len(followed) >= max(ANCHOR_SHARE * self._anchor.n_alive, MIN_FOLLOWED)
-        return enough and turn < ANCHOR_TURN
+        found, alive = np.array([len(rows) for rows in followed.rows]), np.array([n.sum() for n in self._anchor.alive])
+        enough = found.sum() >= max(ANCHOR_SHARE * alive.sum(), MIN_FOLLOWED) and (found >= CAMERA_SHARE * alive).all()
+        return bool(enough and turn < ANCHOR_TURN)
 
     def _predict(self, time: float) -> RigidTransform:
         """The pose that constant velocity gives; the last pose once the object is lost."""

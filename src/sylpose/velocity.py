@@ -18,6 +18,8 @@ FloatArray = NDArray[np.float64]
 # The weight of constant velocity beside a frame's matches: its standard deviation is this many times the usual change of
 # velocity. It counts once so many frames in a row were solved.
 SPREAD, STEADY_FRAMES = 5.0, 5
+# Chi-squared of six that chance exceeds once in a thousand times.
+SURPRISING = 22.5
 # The usual change is a mean over about so many frames.
 MEMORY = 5
 
@@ -63,14 +65,18 @@ class Velocity:
     def added_to(self, fit: Fit, center: FloatArray, elapsed: float) -> Fit:
         """A fit of the motion since the last frame, with what constant velocity says as one more measurement.
 
-        It is a weak one, and matters where the matches say little: when all but a corner of the object is hidden.
+        It is a weak one, and matters where the matches say little: when all but a corner of the object is hidden. Where they
+        contradict it, the object has started, stopped or turned round.
         """
         if self.frames < STEADY_FRAMES:
             return fit
         error = self._surprise(Rotation.from_matrix(fit.rotation), fit.shift, center, elapsed)
-        sd = SPREAD * elapsed * np.sqrt(_by_parts(self.unsteady))
-        prediction = np.diag(1.0 / np.maximum(sd, 1e-12) ** 2)
-        information = fit.information + prediction
+        sd = np.maximum(SPREAD * elapsed * np.sqrt(_by_parts(self.unsteady)), 1e-12)
+        prediction, information = np.diag(sd**-2), fit.information + np.diag(sd**-2)
+        # error' (covariance of the fit + diag(sd²))^-1 error, without inverting what the matches may not have seen.
+        weighted = prediction @ error
+        if weighted @ error - weighted @ np.linalg.solve(information, weighted) > SURPRISING:
+            return fit
         step = -np.linalg.solve(information, prediction @ error)
         rotation = (Rotation.from_rotvec(step[:3]) * Rotation.from_matrix(fit.rotation)).as_matrix()
         return replace(fit, rotation=rotation, shift=fit.shift + step[3:], information=information)

@@ -12,7 +12,7 @@ from typing import Any
 from sylpose.app.checkpoint import CHECKPOINT, fingerprint, load_checkpoint, save_checkpoint
 from sylpose.app.choices import FEATURES, METHODS
 from sylpose.app.clock import Clock
-from sylpose.app.offsets import find_offsets
+from sylpose.app.offsets import find_offsets, retimed
 from sylpose.app.outputs import ObjectOutput, Overlay
 from sylpose.capture import FrameSet, Session
 from sylpose.capture.live import LiveSession
@@ -123,6 +123,10 @@ def track_session(
         if choice not in choices:
             raise ValueError(f"{name}: {choice!r} is not one of {', '.join(choices)}")
     offsets = find_offsets(session) if offsets is None else dict(offsets)
+    if isinstance(session, Session):  # then they are in its time stamps
+        session, late = retimed(session, [offsets.get(name, 0.0) for name in session.rig.names]), None
+    else:
+        late = offsets
     problems: list[str] = []
 
     def said(problem: str) -> None:
@@ -156,7 +160,7 @@ def track_session(
                     session.of(name).boxes or None,
                     method=method,
                     features=features,
-                    offsets=offsets,
+                    offsets=late,
                     seed=seed,
                 )
                 for name in session.objects
