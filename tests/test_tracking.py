@@ -57,7 +57,8 @@ def test_with_boxes(clip: Clip, tracked: list[TrackedFrame]) -> None:
     error = errors(tracked, clip.truth)
     assert error[:, 0].max() < HALF_DEGREE
     assert error[:, 1].max() < 1.5
-    assert (inliers(tracked)[1:] > 30).all()
+    assert (inliers(tracked)[1:] > 10).all()
+    assert (inliers(tracked)[1:].sum(axis=1) > 150).all()
     assert_valid(tracked)
 
 
@@ -81,11 +82,14 @@ def test_the_objects_frame_is_as_documented(clip: Clip, tracked: list[TrackedFra
 
 
 def test_matches_and_regions_are_on_the_object(clip: Clip, tracked: list[TrackedFrame]) -> None:
+    shown = 0
     for f in tracked[1:]:
         vertices = clip.truth.world_from_object[f.pose.index].apply(clip.truth.vertices)
         for camera, matches, region in zip(clip.rig, f.matches, f.regions, strict=True):
-            assert matches is not None
             assert region is not None
+            if matches is None:  # none with the last frame, but with others
+                continue
+            shown += 1
             before, now = matches
             assert before.shape == now.shape
             outline = region_polygon(camera, vertices, 0.0)
@@ -95,6 +99,7 @@ def test_matches_and_regions_are_on_the_object(clip: Clip, tracked: list[Tracked
             column, row = np.round(now).astype(int).T
             assert on_object[row, column].mean() > 0.9
             assert searched[row, column].mean() > 0.97
+    assert shown >= 3
 
 
 def test_a_later_start_and_skipped_frames(clip: Clip) -> None:
@@ -136,6 +141,15 @@ def test_every_method_runs(clip: Clip, method: str) -> None:
 
 
 # --- at rest
+
+
+@pytest.mark.parametrize("features", ["sift", "klt"])
+def test_an_object_in_a_box_at_rest_at_first(features: str) -> None:
+    """What is known of it by its box alone grows old before it moves."""
+    clip = Clip.render(rested(demo_scene(frames=10, turn_deg=25, size=SIZE, n_cameras=3, seed=1), 6, 3))
+    tracked = list(track(clip.frames(), clip.rig, clip.boxes, features=features))
+    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * 8
+    assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
 
 
 @pytest.mark.parametrize("n_cameras", [2, 3])
@@ -234,8 +248,9 @@ def test_masks_bound_what_is_looked_at(clip: Clip) -> None:
     assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
     for f, frame in zip(tracked[1:], masks[1:], strict=True):
         for matches, mask in zip(f.matches, frame, strict=True):
-            assert matches is not None
             assert mask is not None
+            if matches is None:
+                continue
             # Within a pixel, which rounding may cost at the border.
             near = np.pad(mask, 1)
             wide = near[:-2, 1:-1] | near[2:, 1:-1] | near[1:-1, :-2] | near[1:-1, 2:] | mask

@@ -96,6 +96,7 @@ class ObjectModel:
         self.guessed = False
         for reference in {id(r): r for r in references}.values():
             self.learn(reference, [], rig, surface)
+            reference.age = 1.0  # as its landmarks are
 
     def add_points(self, points: FloatArray) -> None:
         """Adds points (n, 3) that are on the object to its cloud."""

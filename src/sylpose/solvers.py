@@ -106,15 +106,17 @@ def _by_chance(sights: Sequence[Sights], aligned: Aligned, current: Reference) -
 
     A random match agrees when it falls into the ellipse around its landmark's image in which it counts as an inlier: that
     happens with the ellipse's share of the region that the camera's features fill. The best of many poses finds more of
-    them, hence the factor; six a pose can always satisfy. What is not trusted is no evidence.
+    them, hence the factor; twice as many as there are unknowns (six, and three of each camera's surface) can be satisfied
+    by choice. What is not trusted is no evidence.
     """
-    inliers, total, by_chance = 0, 0, 0.0
+    inliers, total, by_chance, unknowns = 0, 0, 0.0, 6
     for c, (sight, weights, residuals) in enumerate(zip(sights, aligned.weights, aligned.residuals, strict=True)):
         if not len(sight.image):
             continue
         good = (weights > 0) & (sight.trust > TRUSTED)
         inliers += len(np.unique(sight.feature[good]))
         total += len(np.unique(sight.feature))
+        unknowns += 3
         sigma = np.sqrt(np.mean(residuals[good] ** 2)) / sight.focal if good.any() else 1.0 / sight.focal
         ends = [
             (sight.points + k * sight.depth_error) @ aligned.rotation.T + aligned.shift - sight.center for k in (0, 1)
@@ -125,7 +127,7 @@ def _by_chance(sights: Sequence[Sights], aligned: Aligned, current: Reference) -
         share = np.minimum(np.pi * CUTOFF**2 * sigma * np.hypot(sigma, along) / max(region, 1e-12), 1.0)
         # A feature that is matched with several landmarks is tried once.
         by_chance += float(np.bincount(sight.feature, share).sum() / max(np.bincount(sight.feature).max(), 1))
-    return inliers < 0.8 * total and inliers < 12 + 4.0 * by_chance
+    return inliers < 0.8 * total and inliers < 2 * unknowns + 4.0 * by_chance
 
 
 def _trusted(sights: Sequence[tuple[Sights, BoolArray]], before: float) -> list[Sights]:

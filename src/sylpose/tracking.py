@@ -54,6 +54,8 @@ START_FEATURES = 4000
 # Features per camera of an anchor; and what of them must still be seen: these shares of them, in all and in each camera,
 # and so many in all, while the object has turned by less than this (radians) since.
 KLT_FEATURES, ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 400, 0.4, 0.25, 60, np.radians(20.0)
+# Frames until a camera in which no feature was followed is searched again.
+ASK_AGAIN = 8
 # Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before found.
 SPEED_ROUNDS = 2
 # An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
@@ -130,12 +132,16 @@ class Tracker:
             )
         if features not in FEATURES:
             raise ValueError(f"features: {features!r} is not one of {', '.join(FEATURES)}")
+        for name in offsets or {}:
+            if name not in rig.names:
+                raise ValueError(f"offsets: no camera {name!r} in the rig ({', '.join(rig.names)})")
         self.rig = rig
         self._solve = SOLVERS[method]
         self._seed = seed
         self._offsets = dict(offsets or {})
         self._follows = features == "klt" or (features == "auto" and method == "landmarks")
         self._anchor: Anchor | None = None  # whose features are followed
+        self._since_anchor = 0  # frames
         self._keyframes: list[Reference] = []
         self._last: Reference  # the last solved frame, from the first one on
         self._waiting: list[tuple[Reference, FrameSet]] = []
@@ -316,7 +322,7 @@ class Tracker:
         if not self._lost:
             regions = self._object.regions(self.rig, ahead, min(REGION_GROWTH * (1 + self._missed), MAX_GROWTH))
             followed = self._follow(frames, ahead)
-            if followed is not None and self._suffices(followed, ahead):
+            if followed is not None and self._suffices(followed, frames, ahead, regions):
                 current = self._reference(frames, followed.features)
                 found = self._solve_from(current, ahead, followed, anew=False)
                 if found is not None and found.inliers > ANCHOR_SHARE * len(followed):
@@ -326,15 +332,24 @@ class Tracker:
                 detected = with_new(followed, detected, self._known_background(detected))
             current = self._reference(frames, detected)
             found = self._solve_from(current, ahead, followed)
-            if found is not None:
+            if found is not None and not self._missed:
                 return self._accept(current, frames, regions, found, followed)
+            if found is not None:
+                again = self._found_again(frames, detected, found.motion * self._last.world_from_object)
+                if again is not None:
+                    return again
         current = self._reference(frames, self._detect(frames, self._everywhere()))
         pose = relocalise(self.rig, self._keyframes, current, self._last, self._object.radius, self._pool)
-        if pose is not None:
-            found = self._solve_from(current, pose, None)
-            if found is not None:
-                return self._accept(current, frames, self._object.regions(self.rig, pose, REGION_GROWTH), found, None)
-        return self._missing(frames, ahead, regions)
+        again = None if pose is None else self._found_again(frames, current.features, pose)
+        return self._missing(frames, ahead, regions) if again is None else again
+
+    def _found_again(self, frames: FrameSet, features: Sequence[Features], pose: RigidTransform) -> TrackedFrame | None:
+        """The frame solved from a pose after a wide search; only what may be on the object is learnt and followed."""
+        regions = self._object.regions(self.rig, pose, REGION_GROWTH)
+        inside, _ = self._split(features, regions)
+        current = self._reference(frames, inside)
+        found = self._solve_from(current, pose)
+        return None if found is None else self._accept(current, frames, regions, found)
 
     def _follow(self, frames: FrameSet, ahead: RigidTransform) -> Followed | None:
         """The anchor's features in the next images; None without an anchor, or after a frame without the object."""
@@ -344,13 +359,18 @@ class Tracker:
         last = self._last.world_from_object
         return follow(self._anchor, self.rig, last, ahead, images, frames.masks, self._object.radius, self._pool)
 
-    def _suffices(self, followed: Followed, ahead: RigidTransform) -> bool:
+    def _suffices(self, followed: Followed, frames: FrameSet, ahead: RigidTransform, regions: Regions) -> bool:
         """Whether enough of the anchor's features are still seen to do without new ones."""
         assert self._anchor is not None
         reference = self._anchor.reference
         turn = (ahead.rotation * reference.world_from_object.rotation.inv()).magnitude()
         found, alive = np.array([len(rows) for rows in followed.rows]), np.array([n.sum() for n in self._anchor.alive])
         enough = found.sum() >= max(ANCHOR_SHARE * alive.sum(), MIN_FOLLOWED) and (found >= CAMERA_SHARE * alive).all()
+        for image, region, before, n in zip(frames.images, regions, self._anchor.images, alive, strict=True):
+            # A camera that gives images again takes part at once; one that saw nothing is asked again after a while.
+            looks = image is not None and region is not None
+            enough &= not (looks and before is None)
+            enough &= not (looks and n == 0 and self._since_anchor >= ASK_AGAIN)
         return bool(enough and turn < ANCHOR_TURN)
 
     def _predict(self, time: float) -> RigidTransform:
@@ -429,10 +449,11 @@ class Tracker:
                 if pair.reference is self._anchor.reference:
                     self._anchor.alive[pair.camera][pair.indices[weights == 0, 0]] = False
             self._anchor.tracks, self._anchor.images = followed.tracks, followed.images
+            self._since_anchor += 1
         if anew:
             add_keyframe(self._keyframes, current)
             if self._follows:
-                self._anchor = begin_anchor(current, greys(frames.images), followed)
+                self._anchor, self._since_anchor = begin_anchor(current, greys(frames.images), followed), 0
         before = None if followed is None else followed.before
         return solved_frame(current, frames, status, regions, self._object.radius, pairs, fit, base, before)
 
