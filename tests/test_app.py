@@ -61,6 +61,25 @@ def test_the_summary_counts_what_was_measured(
     assert "4 of 6 frames (1 relocalised), coasting 1, lost 1" in capsys.readouterr().out
 
 
+def test_images_without_times_are_tracked(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in CAMERAS:
+        (session / name).mkdir()
+        for k, image in enumerate(images(session / f"{name}.mp4")[:4]):
+            cv2.imwrite(str(session / name / f"{k}.bmp"), image)
+        (session / f"{name}.mp4").unlink()
+    assert main(["track", str(session), "--no-overlay", "--smooth"]) == 0
+    assert len(read_trajectory(session / "sylpose" / "trajectory.csv")) == 4
+    assert "4 of 4 frames" in capsys.readouterr().out
+
+
+def test_what_is_said_of_a_frame_is_said_aloud(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sylpose.tracking.is_ambiguous", lambda *_: True)
+    run = track_session(replace(open_session(recording), _boxes={}), tmp_path, stop=6, overlay=False)
+    assert any("something else moved nearly as much" in problem for problem in run.problems)
+
+
 # --- offsets ----------------------------------------------------------------------------------------------------------
 
 

@@ -28,8 +28,9 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 Images = Sequence[NDArray[np.uint8] | None]
 
-# Features per camera that an anchor has in all, if there are so many, and how many of them are new at least.
-FEATURES, MIN_NEW = 250, 60
+# Features per camera that an anchor has in all, if there are so many; how many of them are new at least; and how many are
+# followed at most.
+FEATURES, MIN_NEW, MOST = 250, 60, 350
 # A new feature this near to one that is followed, pixels, is the same.
 SAME_PX = 4.0
 # Features that were lost on the way are looked for again where their depth is known to this share of the object's radius.
@@ -104,7 +105,15 @@ def begin_anchor(current: Reference, images: Sequence[NDArray[np.uint8] | None],
             image = np.zeros((1, 1), np.uint8)  # where nothing can be begun
         new = begin(image, features.pixels[known:])
         tracks.append(new if before is None else before.tracks[c].subset(before.rows[c]).join(new))
-    return Anchor(current, tracks, [t.followed.copy() for t in tracks], list(images))
+    return Anchor(current, tracks, [_some(t.followed) for t in tracks], list(images))
+
+
+def _some(followed: BoolArray) -> BoolArray:
+    """(n,) the features that will be followed: of too many, some from all over the list."""
+    rows = np.flatnonzero(followed)
+    some = np.zeros(len(followed), bool)
+    some[rows if len(rows) <= MOST else rows[np.arange(MOST) * len(rows) // MOST]] = True
+    return some
 
 
 def follow(

@@ -37,6 +37,7 @@ def relocalise(
     current: Reference,
     last: Reference,
     radius: float,
+    missed: int,
     pool: Executor,
 ) -> RigidTransform | None:
     """world_from_object by the keyframes' landmarks alone, wherever the object is; None if it is not found.
@@ -46,12 +47,13 @@ def relocalise(
         current: with the features of the whole images.
         last: the last solved frame.
         radius: of the object.
+        missed: in how many frames it was not found; each time other keyframes are tried.
         pool: one job per camera.
     """
 
     def run(c: int) -> tuple[FloatArray, FloatArray]:
         points, pixels = [np.empty((0, 3))], [np.empty((0, 2))]
-        for reference in _to_try(keyframes, c, last, current.index):
+        for reference in _to_try(keyframes, c, last, missed):
             features, landmarks = reference.features[c], reference.landmarks[c]
             good = (landmarks.depth_sd < KNOWN_DEPTH * radius) & ~reference.background[c]
             index = match_features(features.subset(good), current.features[c])

@@ -56,6 +56,8 @@ START_FEATURES = 4000
 KLT_FEATURES, ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 400, 0.4, 0.25, 60, np.radians(20.0)
 # Frames until a camera in which no feature was followed is searched again.
 ASK_AGAIN = 8
+# A pose found again must be the one that relocalisation found: within this turn (radians) and share of the radius.
+AGAIN_TURN, AGAIN_SHIFT = 0.17, 0.3
 # Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before found.
 SPEED_ROUNDS = 2
 # An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
@@ -339,7 +341,7 @@ class Tracker:
                 if again is not None:
                     return again
         current = self._reference(frames, self._detect(frames, self._everywhere()))
-        pose = relocalise(self.rig, self._keyframes, current, self._last, self._object.radius, self._pool)
+        pose = relocalise(self.rig, self._keyframes, current, self._last, self._object.radius, self._missed, self._pool)
         again = None if pose is None else self._found_again(frames, current.features, pose)
         return self._missing(frames, ahead, regions) if again is None else again
 
@@ -349,7 +351,14 @@ class Tracker:
         inside, _ = self._split(features, regions)
         current = self._reference(frames, inside)
         found = self._solve_from(current, pose)
-        return None if found is None else self._accept(current, frames, regions, found)
+        if found is None:
+            return None
+        # Solvers that start elsewhere may end elsewhere.
+        away = found.motion * self._last.world_from_object * pose.inv()
+        far = np.linalg.norm(away.apply(pose.translation) - pose.translation) > AGAIN_SHIFT * self._object.radius
+        if far or away.rotation.magnitude() > AGAIN_TURN:
+            return None
+        return self._accept(current, frames, regions, found)
 
     def _follow(self, frames: FrameSet, ahead: RigidTransform) -> Followed | None:
         """The anchor's features in the next images; None without an anchor, or after a frame without the object."""
@@ -400,7 +409,7 @@ class Tracker:
             motion = guess * base.world_from_object.inv()
             hypothesis = (motion.rotation.as_matrix(), motion.apply(center) - center)
             fit = self._solve(rig, pairs, current, base, self._object.radius, hypothesis, self._rng())
-            if not fit.status.has_pose:
+            if not fit.status.has_pose or (fit.status is Status.NO_MOTION and self._missed):
                 return None
             if not self._lost and fit.status is not Status.NO_MOTION:
                 fit = self._velocity.added_to(fit, center, elapsed)
@@ -452,8 +461,11 @@ class Tracker:
             self._since_anchor += 1
         if anew:
             add_keyframe(self._keyframes, current)
-            if self._follows:
+            # Where it was found again next to nothing is known of what else is seen: the next frame asks the keyframes too.
+            if self._follows and status is Status.TRACKED:
                 self._anchor, self._since_anchor = begin_anchor(current, greys(frames.images), followed), 0
+            else:
+                self._anchor = None
         before = None if followed is None else followed.before
         return solved_frame(current, frames, status, regions, self._object.radius, pairs, fit, base, before)
 

@@ -22,6 +22,8 @@ SPREAD, STEADY_FRAMES = 5.0, 5
 SURPRISING = 22.5
 # The usual change is a mean over about so many frames.
 MEMORY = 5
+# A velocity is not taken from an interval shorter than this share of the usual one.
+SHORT = 0.2
 
 
 @dataclass(eq=False)
@@ -32,11 +34,13 @@ class Velocity:
         twist: (6,) exponential coordinates per second, rotation first, in the world.
         unsteady: (6,) mean square of the changes of the turn and of the centre's velocity, per second.
         frames: solved in a row.
+        interval: the usual one between them, seconds.
     """
 
     twist: FloatArray = field(default_factory=lambda: np.zeros(6))
     unsteady: FloatArray = field(default_factory=lambda: np.zeros(6))
     frames: int = 0
+    interval: float = 0.0
 
     def motion(self, elapsed: float) -> RigidTransform:
         """What it gives for some seconds."""
@@ -44,7 +48,11 @@ class Velocity:
 
     def learn(self, motion: RigidTransform, center: FloatArray, elapsed: float) -> None:
         """Takes in the motion (of which the centre (3,) is at its start) of the next frame."""
+        # Of two frames at nearly the same time, the difference of the poses is mostly their errors.
+        if self.frames and elapsed < SHORT * self.interval:
+            return
         elapsed = max(elapsed, 1e-9)
+        self.interval = elapsed if not self.frames else self.interval + (elapsed - self.interval) / MEMORY
         # The first motion is a change by itself.
         if self.frames:
             change = self._surprise(motion.rotation, motion.apply(center) - center, center, elapsed) / elapsed
@@ -59,7 +67,10 @@ class Velocity:
             self.twist = np.zeros(6)
 
     def spread(self, elapsed: float, missed: int) -> FloatArray:
-        """(6, 6) covariance of (w, d) of its motion after some seconds, in which so many frames were missed."""
+        """(6, 6) covariance of (w, d) of its motion after some seconds, in which so many frames were missed; infinite while
+        nothing is known of it."""
+        if not self.unsteady.any():  # two motions have not been seen yet
+            return np.full((6, 6), np.inf)
         return np.asarray(np.diag(self.unsteady) * missed * elapsed**2)
 
     def added_to(self, fit: Fit, center: FloatArray, elapsed: float) -> Fit:

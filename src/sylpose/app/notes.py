@@ -9,6 +9,9 @@ from sylpose.capture.live import LiveSession
 
 __all__ = ["notes"]
 
+# Time stamps of one frame set that are further from their mean than this, frames, are said to be wrong.
+FAR_APART = 2.0
+
 
 def notes(session: Session | LiveSession, start: int = 0) -> list[str]:
     """What to know about a session before it is tracked from frame `start` on, in sentences."""
@@ -26,6 +29,13 @@ def notes(session: Session | LiveSession, start: int = 0) -> list[str]:
             parts.append(f"{name} has {shown[0]} to {shown[-1]}{within}")
     if parts:
         found.append(f"Not every camera has all frames 0 to {n - 1}: {', '.join(parts)}.")
+    apart = session.timeline.stamps - session.timeline.times[:, None]
+    if session.rate and np.nanmax(np.abs(apart), initial=0.0) * session.rate > FAR_APART:
+        worst = float(np.nanmax(np.abs(apart)))
+        found.append(
+            f"The cameras' time stamps of one frame set are up to {worst:.3g} s from their mean: frames of different times "
+            "are taken for one. Are the clocks the same?"
+        )
     # All objects have boxes or none.
     if session.of(session.objects[0]).boxes and start > 0:
         found.append(f"The boxes are taken to be of frame {start}, where tracking starts.")

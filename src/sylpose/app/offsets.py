@@ -72,10 +72,10 @@ def retimed(session: Session, offsets: ArrayLike) -> Session:
     late = np.asarray(offsets, dtype=float)
     if late.shape != (len(session.rig),) or not np.isfinite(late).all():
         raise ValueError(f"offsets: {len(session.rig)} numbers are expected, one for each camera, got {late}")
-    if session.rate is None:
-        raise ValueError(f"{session.path}: offsets are in seconds, but this recording's rate is not known")
     if not late.any():
         return session
+    if session.rate is None:
+        raise ValueError(f"{session.path}: offsets are in seconds, but this recording's rate is not known")
     old, n = session.timeline, len(session.rig)
     shift, rest = split_offsets(late, session.rate)
     frames, stamps = np.full(old.frames.shape, -1, np.int64), np.full(old.stamps.shape, np.nan)

@@ -18,8 +18,10 @@ from sylpose.rig import Rig
 from sylpose.smoothing import Track, smooth
 from sylpose.tracking import TrackedFrame
 
-__all__ = ["ObjectOutput", "OutputState", "Overlay"]
+__all__ = ["MAX_SMOOTHED", "ObjectOutput", "OutputState", "Overlay"]
 
+# So many frames are refined together at most: they take some 30 kB each, all at once in memory.
+MAX_SMOOTHED = 10_000
 # What smoothing needs of the frames.
 TRACKS = "tracks.bin"
 # Frames that may wait for the overlay's thread before the tracker has to.
@@ -104,6 +106,8 @@ class ObjectOutput:
         """
         if self._tracks is None:
             return None
+        if len(self.poses) > MAX_SMOOTHED:
+            return f"Smoothing: {len(self.poses)} frames are more than the {MAX_SMOOTHED} that can be refined together."
         with self._clock.part("smoothing"):
             self._tracks.close()
             tracks = []

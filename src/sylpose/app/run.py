@@ -13,7 +13,7 @@ from sylpose.app.checkpoint import CHECKPOINT, fingerprint, load_checkpoint, sav
 from sylpose.app.choices import FEATURES, METHODS
 from sylpose.app.clock import Clock
 from sylpose.app.offsets import find_offsets, retimed
-from sylpose.app.outputs import ObjectOutput, Overlay
+from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
 from sylpose.capture import FrameSet, Session
 from sylpose.capture.live import LiveSession
 from sylpose.report.files import output_folder, writing
@@ -134,6 +134,10 @@ def track_session(
         if on_problem is not None:
             on_problem(problem)
 
+    if smooth and isinstance(session, Session):
+        n = len(range(start, session.n_frames if stop is None else min(stop, session.n_frames), max(every, 1)))
+        if n > MAX_SMOOTHED:
+            raise ValueError(f"smooth: {n} frames are more than the {MAX_SMOOTHED} that can be refined together")
     asked = {"method": method, "features": features, "seed": seed, "start": start, "stop": stop, "every": every}
     asked |= {"offsets": offsets or None, "smooth": smooth or None}
     folder, clock = output_path(session, out), Clock()
@@ -185,6 +189,8 @@ def track_session(
         def take(name: str, decided: list[TrackedFrame]) -> None:
             for tracked in decided:
                 outputs[name].write(tracked)
+                if tracked.note:
+                    said(tracked.note if len(outputs) == 1 else f"{name}: {tracked.note}")
                 if drawing is not None:
                     drawing.put(name, tracked)
                 if on_frame is not None:
