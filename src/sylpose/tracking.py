@@ -56,6 +56,8 @@ START_FEATURES = 4000
 KLT_FEATURES, ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 400, 0.4, 0.25, 60, np.radians(20.0)
 # Frames until a camera in which no feature was followed is searched again.
 ASK_AGAIN = 8
+# With a turn less certain than this (radians), an object that was missed is not taken as found, for so many frames at most.
+AGAIN_SD, WAIT_FOR_MORE = 0.005, 2
 # A pose found again must be the one that relocalisation found: within this turn (radians) and share of the radius.
 AGAIN_TURN, AGAIN_SHIFT = 0.17, 0.3
 # Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before found.
@@ -149,6 +151,7 @@ class Tracker:
         self._waiting: list[tuple[Reference, FrameSet]] = []
         self._velocity = Velocity()
         self._missed = 0  # frames since the last solved one
+        self._seen_again = 0  # frames in which it was seen, but not well enough, after it was missed
         self._lost = False  # whether nothing is known any more of where it is
         self._object = ObjectModel(rig, boxes, seed)
         self._surroundings = [Features.none()] * len(rig)  # the first frame's features outside the object's region
@@ -307,7 +310,7 @@ class Tracker:
             # What moved was no rigid body, or not for long: wait for another motion.
             self._keyframes, self._anchor = [], None
             self._object, self._velocity = ObjectModel(self.rig, None, self._seed), Velocity()
-            self._missed, self._lost = 0, False
+            self._missed, self._lost, self._seen_again = 0, False, 0
             self._surroundings = [Features.none()] * len(self.rig)
             self._waiting = [*others, (current, frames)]
             return [unsolved_frame(first_frames, Status.NOT_CONSISTENT)]
@@ -357,6 +360,11 @@ class Tracker:
         away = found.motion * self._last.world_from_object * pose.inv()
         far = np.linalg.norm(away.apply(pose.translation) - pose.translation) > AGAIN_SHIFT * self._object.radius
         if far or away.rotation.magnitude() > AGAIN_TURN:
+            return None
+        # While only a corner of it is back, the next frame will show more, and what is learnt now would stay wrong.
+        uncertain = bool(np.sqrt(np.diag(covariance_of(found.fit.information))[:3].max()) > AGAIN_SD)
+        if self._missed and uncertain and self._seen_again < WAIT_FOR_MORE:
+            self._seen_again += 1
             return None
         return self._accept(current, frames, regions, found)
 
@@ -451,7 +459,7 @@ class Tracker:
         if not self._lost:
             self._velocity.learn(found.motion, base.world_from_object.translation, current.time - base.time)
         status = Status.RELOCALISED if self._missed else Status.TRACKED
-        self._missed, self._lost = 0, False
+        self._missed, self._lost, self._seen_again = 0, False, 0
         self._last = current
         if self._anchor is not None and followed is not None:
             for pair, weights in zip(pairs, fit.weights, strict=True):
