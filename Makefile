@@ -25,7 +25,7 @@ demo: $(VENV)/.installed
 # Compiled kernels do not notice that a kernel which they call in another file has changed.
 test: lint
 	-find src/sylpose/__pycache__ -name '*.nb[ic]' ! -newer "$$(ls -t src/sylpose/*.py | head -1)" -delete
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -205,7 +205,7 @@ def test_a_score_tells_when_the_object_was_found_again(tmp_path: Path) -> None:
 
 
 def test_what_must_hold_and_what_counts_as_worse(tmp_path: Path) -> None:
-    ours = Row("box", "sylpose", 300, 300, Spread(0.1, 0.2, 0.1, 0.1), Spread(0.1, 0.2, 0.1, 0.1), fps=7.0)
+    ours = Row("box", "sylpose sift", 300, 300, Spread(0.1, 0.2, 0.1, 0.1), Spread(0.1, 0.2, 0.1, 0.1), fps=7.0)
     chain = Row("box", "poselib", 300, 300, Spread(0.5, 1.0, 1.0, 0.9), Spread(1, 1, 1, 1))
     table = must_hold([ours, chain])
     assert table.count("| yes |") == 3
@@ -218,7 +218,7 @@ def test_what_must_hold_and_what_counts_as_worse(tmp_path: Path) -> None:
     assert not list(worse_than([ours], [ours, chain]))
     assert list(worse_than([replace(ours, deg=Spread(0.1, 0.3, 0.1, 0.1))], [ours]))
     assert list(worse_than([replace(ours, solved=299)], [ours]))
-    assert list(worse_than([Row("box", "sylpose", failed="crash")], [ours]))
+    assert list(worse_than([Row("box", "sylpose sift", failed="crash")], [ours]))
 
 
 @pytest.mark.parametrize(
