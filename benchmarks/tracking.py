@@ -90,7 +90,7 @@ def track(data: str, session: Path, options: dict[str, object]) -> Iterator[Row]
         for truth in truths:
             name = truth.stem.removeprefix("groundtruth").removeprefix("_")
             # An object's files are named after it, or in a folder of its name.
-            found = [tum for tum in sorted(Path(out).rglob("*.tum")) if name in str(tum.relative_to(out))]
+            found = [tum for tum in sorted(Path(out).rglob("trajectory.tum")) if name in str(tum.relative_to(out))]
             mine = replace(row, data=f"{data}: {name}" if name else data)
             if found and not failed:
                 mine = score(mine, found[0], truth, center)

@@ -22,8 +22,10 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose import calibration
 from sylpose.capture import FrameSet
-from sylpose.capture.live import DONE, LiveSession, is_live, open_live
-from sylpose.capture.streams import Assembler, Device, Grab, Shot, StreamClock, Tally
+from sylpose.capture.assembly import Assembler, Grab, Shot, StreamClock, Tally
+from sylpose.capture.growing import DONE
+from sylpose.capture.live import LiveSession, is_live, open_live
+from sylpose.capture.streams import Device
 from sylpose.rig import Camera, Rig
 
 SIZE = (160, 48)

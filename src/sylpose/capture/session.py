@@ -20,7 +20,7 @@ from sylpose.capture.sources import Source, find_sources
 from sylpose.capture.timeline import Timeline, build_timeline, load_timestamps
 from sylpose.rig import Rig
 
-__all__ = ["FrameSet", "Session", "open_session"]
+__all__ = ["FrameSet", "Session", "any_of", "open_session"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +181,7 @@ class Session:
             float(self.timeline.times[i]),
             tuple(None if np.isnan(stamp) else float(stamp) for stamp in self.timeline.stamps[i]),
             tuple(reading.image for reading in readings),
-            tuple(_any_of([m[c] for m in masks.values()]) for c in range(len(readings))),
+            tuple(any_of([m[c] for m in masks.values()]) for c in range(len(readings))),
             masks if len(masks) > 1 else {},
         )
 
@@ -249,7 +249,7 @@ def open_session(
     )
 
 
-def _any_of(masks: Sequence[NDArray[np.bool_] | None]) -> NDArray[np.bool_] | None:
+def any_of(masks: Sequence[NDArray[np.bool_] | None]) -> NDArray[np.bool_] | None:
     """Where any of the objects is, from a mask each; None unless all are known, one of one object as it is."""
     known = [mask for mask in masks if mask is not None]
     if not known or len(known) < len(masks):
