@@ -30,7 +30,7 @@ Images = Sequence[NDArray[np.uint8] | None]
 
 # Features per camera that an anchor has in all, if there are so many; how many of them are new at least; and how many are
 # followed at most.
-FEATURES, MIN_NEW, MOST = 250, 60, 350
+FEATURES, MIN_NEW, MOST = 170, 40, 200
 # A new feature this near to one that is followed, pixels, is the same.
 SAME_PX = 4.0
 # Features that were lost on the way are looked for again where their depth is known to this share of the object's radius.
