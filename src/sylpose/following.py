@@ -28,9 +28,9 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 Images = Sequence[NDArray[np.uint8] | None]
 
-# Features per camera that an anchor has in all, if there are so many; how many of them are new at least; and how many are
-# followed at most.
-FEATURES, MIN_NEW, MOST = 170, 40, 200
+# Features per camera that an anchor has in all, if there are so many (keyframes are anchors, and are searched by them), and
+# how many are followed of them; how many of these are new at least.
+FEATURES, FOLLOWED, MIN_NEW = 350, 170, 40
 # A new feature this near to one that is followed, pixels, is the same.
 SAME_PX = 4.0
 # Features that were lost on the way are looked for again where their depth is known to this share of the object's radius.
@@ -105,14 +105,18 @@ def begin_anchor(current: Reference, images: Sequence[NDArray[np.uint8] | None],
             image = np.zeros((1, 1), np.uint8)  # where nothing can be begun
         new = begin(image, features.pixels[known:])
         tracks.append(new if before is None else before.tracks[c].subset(before.rows[c]).join(new))
-    return Anchor(current, tracks, [_some(t.followed) for t in tracks], list(images))
+    carried = [0] * len(tracks) if before is None else [len(rows) for rows in before.rows]
+    alive = [_some(t.followed, n) for t, n in zip(tracks, carried, strict=True)]
+    return Anchor(current, tracks, alive, list(images))
 
 
-def _some(followed: BoolArray) -> BoolArray:
-    """(n,) the features that will be followed: of too many, some from all over the list."""
-    rows = np.flatnonzero(followed)
-    some = np.zeros(len(followed), bool)
-    some[rows if len(rows) <= MOST else rows[np.arange(MOST) * len(rows) // MOST]] = True
+def _some(followed: BoolArray, known: int) -> BoolArray:
+    """(n,) the features that will be followed: the first `known`, and of the others some from all over the list."""
+    new = known + np.flatnonzero(followed[known:])
+    wanted = max(FOLLOWED - known, MIN_NEW)
+    some = followed.copy()
+    some[known:] = False
+    some[new if len(new) <= wanted else new[np.arange(wanted) * len(new) // wanted]] = True
     return some
 
 
