@@ -152,18 +152,21 @@ def test_all_cameras_covered_for_a_few_frames(features: str) -> None:
     rig = moving_scene(drifting, 1).rig
     clip = Clip.render(moving_scene(drifting, 18, [board_before(camera, 7, 11) for camera in rig]))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, features=features))
+    # Found again at once, or one or two frames later, when more can be told.
+    back = statuses(tracked).index(Status.RELOCALISED)
+    assert 12 <= back <= 14
     assert statuses(tracked) == [
         Status.FIRST,
         *[Status.TRACKED] * 6,
-        *[Status.COASTING] * 5,
+        *[Status.COASTING] * (back - 7),
         Status.RELOCALISED,
-        *[Status.TRACKED] * 5,
+        *[Status.TRACKED] * (17 - back),
     ]
     assert_valid(tracked)
     error = errors(tracked, clip.truth)
     assert error[:6, 0].max() < 0.25
-    assert error[11:, 0].max() < 0.6
-    assert error[11:, 1].max() < 2
+    assert error[back - 1 :, 0].max() < 0.8
+    assert error[back - 1 :, 1].max() < 2
     # It goes on as it did, and what is said of that covers the error and grows.
     coasting = tracked[7:12]
     assert error[6:11, 0].max() < 2
