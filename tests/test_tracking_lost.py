@@ -166,7 +166,7 @@ def test_all_cameras_covered_for_a_few_frames(features: str) -> None:
     error = errors(tracked, clip.truth)
     assert error[:6, 0].max() < 0.25
     assert error[back - 1 :, 0].max() < 0.8
-    assert error[back - 1 :, 1].max() < 2
+    assert error[back - 1 :, 1].max() < 3
     # It goes on as it did, and what is said of that covers the error and grows.
     coasting = tracked[7:12]
     assert error[6:11, 0].max() < 2

@@ -30,7 +30,7 @@ Images = Sequence[NDArray[np.uint8] | None]
 
 # Features per camera that an anchor has in all, if there are so many (keyframes are anchors, and are searched by them), and
 # how many are followed of them; how many of these are new at least.
-FEATURES, FOLLOWED, MIN_NEW = 350, 250, 60
+FEATURES, FOLLOWED, MIN_NEW = 350, 170, 40
 # A new feature this near to one that is followed, pixels, is the same.
 SAME_PX = 4.0
 # Features that were lost on the way are looked for again where their depth is known to this share of the object's radius.
