@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_sylvester as scipy_solve_sylvester
 from scipy.spatial.transform import Rotation
 
-from sylpose import sylvester
+from sylpose import so3
 from sylpose.equation import SingularSylvesterError, solve_generalized_sylvester, solve_sylvester
 from sylpose.moments import PairMoments
+from sylpose.orthographic import quadratic_of, views_of
 from sylpose.sylvester import (
     CentralizedSolution,
     solve_centralized,
@@ -252,16 +253,16 @@ def test_no_rotation_is_better(seed: int, n: int) -> None:
     solution = solve_centralized(cameras, moments, aim=False)
     assert solution.converged
     assert not (n == 1 and solution.certified)
-    q = sylvester._quadratic(cameras, moments, False)
+    q = quadratic_of(views_of(cameras, moments, aim=False))
     starts = random_rotations(rng, 1000)
-    costs = sylvester._cost(q.H, q.h, starts)
+    costs = so3.cost_of(q.H, q.h, starts)
     for start in starts[np.argsort(costs)[:20]]:
         for _ in range(30):
-            gradient, hessian = sylvester._derivatives(q.H, q.h, start)
+            gradient, hessian = so3.derivatives(q.H, q.h, start)
             values, vectors = np.linalg.eigh(hessian)
             step = -vectors @ (vectors.T @ gradient / np.maximum(np.abs(values), 0.5))
             start = Rotation.from_rotvec(step).as_matrix() @ start
-        assert sylvester._cost(q.H, q.h, start) + q.constant >= solution.cost - 1e-9
+        assert so3.cost_of(q.H, q.h, start) + q.constant >= solution.cost - 1e-9
     if solution.certified:
         # What the certificate promises, by its own formula.
         K = q.H + np.kron(solution.multiplier, np.eye(3))
@@ -297,9 +298,9 @@ def test_derivatives_against_finite_differences(seed: int) -> None:
     H, h, R = half @ half.T / 9, rng.normal(size=9), random_rotations(rng, 1)[0]
 
     def cost(w: FloatArray) -> float:
-        return float(sylvester._cost(H, h, Rotation.from_rotvec(w).as_matrix() @ R))
+        return float(so3.cost_of(H, h, Rotation.from_rotvec(w).as_matrix() @ R))
 
-    gradient, hessian = sylvester._derivatives(H, h, R)
+    gradient, hessian = so3.derivatives(H, h, R)
     e = 1e-4 * np.eye(3)
     np.testing.assert_allclose(gradient, [(cost(d) - cost(-d)) / 2e-4 for d in e], atol=1e-6)
     numeric = [[(cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b)) / 4e-8 for a in e] for b in e]
@@ -315,7 +316,7 @@ def test_with_full_depth_it_is_kabsch(seed: int) -> None:
     y = x @ random_rotations(rng, 1)[0].T + 0.2 * rng.normal(size=x.shape)
     H, h = np.kron(np.eye(3), x.T @ x), (y.T @ x).ravel()
     scale = np.trace(H) / 9
-    candidates, _, _ = sylvester._minimize(H / scale, h / scale)
+    candidates, _, _ = so3.minimize(H / scale, h / scale)
     expected, _ = Rotation.align_vectors(y, x)
     assert angle(candidates[0], expected.as_matrix()) < 1e-8
 

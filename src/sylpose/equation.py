@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["SingularSylvesterError", "kron", "solve_generalized_sylvester", "solve_sylvester"]
+__all__ = ["SingularSylvesterError", "kron", "solve_generalized_sylvester", "solve_sylvester", "transpose"]
 
 FloatArray = NDArray[np.float64]
 
@@ -103,6 +103,11 @@ def kron(a: FloatArray, b: FloatArray) -> FloatArray:
     out = a[..., :, None, :, None] * b[..., None, :, None, :]
     rows, columns = a.shape[-2] * b.shape[-2], a.shape[-1] * b.shape[-1]
     return np.asarray(out.reshape(*out.shape[:-4], rows, columns))
+
+
+def transpose(a: FloatArray) -> FloatArray:
+    """Of the last two axes."""
+    return np.asarray(np.swapaxes(a, -1, -2))
 
 
 def _first_singular(system: FloatArray, rcond: float) -> tuple[int, ...] | None:
