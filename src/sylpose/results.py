@@ -29,6 +29,7 @@ class Status(Enum):
     SCALE_NOT_OBSERVABLE = "scale not observable"
     TURN_NOT_OBSERVABLE = "turn not observable"
     NO_MOTION = "no motion"
+    NOT_CERTIFIED = "not certified"
     NOT_CONVERGED = "not converged"
     NOT_CONSISTENT = "no consistent motion"
 
@@ -55,6 +56,7 @@ _TEXTS = {
     "(one camera, or a translation without a turn).",
     Status.TURN_NOT_OBSERVABLE: "A part of the turn cannot be seen from these cameras.",
     Status.NO_MOTION: "The object did not move measurably: its matches stand still in every camera.",
+    Status.NOT_CERTIFIED: "The best of all solutions that were found; that there is no better one is not proved.",
     Status.NOT_CONVERGED: "The solver did not settle within its bound of iterations.",
     Status.NOT_CONSISTENT: "No single rigid motion explains enough of the matches.",
 }
@@ -66,6 +68,7 @@ _WITH_POSE = {
     Status.COASTING,
     Status.SCALE_NOT_OBSERVABLE,
     Status.NO_MOTION,
+    Status.NOT_CERTIFIED,
 }
 
 
