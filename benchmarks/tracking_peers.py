@@ -23,7 +23,8 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from peers import colmap_pose, pinhole_of, poselib_matches, poselib_pose, poselib_rig
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.capture import Session, open_session
 from sylpose.features import Features, detect, match_features
@@ -69,13 +70,7 @@ def poselib_chain(session: Session, every: int, stop: int | None) -> tuple[Poses
     """Adjacent frames, chained; a step that fails ends the chain."""
     import poselib
 
-    cameras, in_rig = [], []
-    for camera in session.rig:
-        (fx, _, cx), (_, fy, cy) = camera.matrix[:2].tolist()
-        cameras.append(poselib.Camera("PINHOLE", [fx, fy, cx, cy], *camera.size))
-        pose = poselib.CameraPose()
-        pose.R, pose.t = camera.rotation, camera.camera_from_world.translation
-        in_rig.append(pose)
+    cameras, in_rig = poselib_rig(session.rig)
     first = read_tum(session.path / "groundtruth.tum")[1][0]
     poses: Poses = {}
     seconds = {"features": 0.0, "solving": 0.0}
@@ -85,19 +80,19 @@ def poselib_chain(session: Session, every: int, stop: int | None) -> tuple[Poses
     for index, features in masked_features(session, every, stop):
         seconds["features"] -= clock - (clock := time.perf_counter())
         if before:
-            matches = []
-            for c, (camera, a, b) in enumerate(zip(session.rig, before, features, strict=True)):
+            views = []
+            for camera, a, b in zip(session.rig, before, features, strict=True):
                 i, j = match_features(a, b).T
-                pairs = poselib.PairwiseMatches()
-                pairs.cam_id1 = pairs.cam_id2 = c
-                pairs.x1, pairs.x2 = pinhole(camera, a)[i], pinhole(camera, b)[j]
-                matches.append(pairs)
-            found, info = poselib.estimate_generalized_relative_pose(
-                matches, in_rig, cameras, in_rig, cameras, {"max_epipolar_error": EPIPOLAR_PX}, {}
+                views.append((pinhole(camera, a)[i], pinhole(camera, b)[j]))
+            matches = poselib_matches(views)
+            motion = poselib_pose(
+                poselib.estimate_generalized_relative_pose(
+                    matches, in_rig, cameras, in_rig, cameras, {"max_epipolar_error": EPIPOLAR_PX}, {}
+                )
             )
-            if not info["num_inliers"] or not np.isfinite([*found.q, *found.t]).all():
+            if motion is None:
                 break
-            last = RigidTransform.from_components(found.t, Rotation.from_matrix(found.R)) * last
+            last = motion * last
         poses[index] = last
         before = features
         seconds["solving"] -= clock - (clock := time.perf_counter())
@@ -120,10 +115,8 @@ def pycolmap_mapping(session: Session, every: int, stop: int | None) -> tuple[Po
         with pycolmap.Database.open(database) as db:
             configs, images = [], []
             for c, camera in enumerate(rig):
-                (fx, _, cx), (_, fy, cy) = camera.matrix[:2].tolist()
-                # COLMAP's pixel centres are at half integers: the same shift in points and principal point is none.
                 model = pycolmap.Camera(model="PINHOLE", width=camera.size[0], height=camera.size[1])
-                model.params, model.has_prior_focal_length = [fx, fy, cx, cy], True
+                model.params, model.has_prior_focal_length = pinhole_of(camera), True
                 model.camera_id = db.write_camera(model)
                 config = pycolmap.RigConfigCamera(image_prefix=f"{camera.name}/", ref_sensor=c == 0, camera=model)
                 if c:
@@ -156,7 +149,7 @@ def pycolmap_mapping(session: Session, every: int, stop: int | None) -> tuple[Po
     for image in largest.images.values():
         frame = largest.frames[image.frame_id]
         if frame.has_pose():
-            poses[int(Path(image.name).stem)] = world_from_rig * _transform(frame.rig_from_world)
+            poses[int(Path(image.name).stem)] = world_from_rig * colmap_pose(frame.rig_from_world)
     return dict(sorted(poses.items())), seconds
 
 
@@ -177,10 +170,6 @@ def _rigid3d(pose: RigidTransform) -> Any:
     import pycolmap
 
     return pycolmap.Rigid3d(pose.as_matrix()[:3])
-
-
-def _transform(pose: Any) -> RigidTransform:
-    return RigidTransform.from_components(pose.translation, Rotation.from_matrix(pose.rotation.matrix()))
 
 
 PEERS: dict[str, Callable[[Session, int, int | None], tuple[Poses, dict[str, float]]]] = {

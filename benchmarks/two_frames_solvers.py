@@ -11,7 +11,8 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from peers import colmap_pose, pinhole_of, poselib_matches, poselib_pose, poselib_rig
+from scipy.spatial.transform import RigidTransform
 from two_frames_scenes import Scene
 
 __all__ = ["LOADERS", "Answer", "Worker", "options_of"]
@@ -165,39 +166,22 @@ def load_poselib() -> Prepare:
     import poselib
 
     def prepare(scene: Scene, options: Options) -> Callable[[], RigidTransform | None]:
-        cameras, poses = [], []
-        for camera in scene.rig:
-            (fx, _, cx), (_, fy, cy) = camera.matrix[:2].tolist()
-            cameras.append(poselib.Camera("PINHOLE", [fx, fy, cx, cy], *camera.size))
-            pose = poselib.CameraPose()
-            pose.R, pose.t = camera.rotation, camera.camera_from_world.translation
-            poses.append(pose)
+        cameras, poses = poselib_rig(scene.rig)
         ransac, bundle = options.get("ransac", {}), options.get("bundle", {})
         if scene.problem == "pose":
 
             def call() -> RigidTransform | None:
-                return _rigid(
+                return poselib_pose(
                     poselib.estimate_generalized_absolute_pose(
                         scene.after, scene.before, poses, cameras, ransac, bundle
                     )
                 )
 
             return call
-        matches = []
-        for c, (x, y) in enumerate(zip(scene.before, scene.after, strict=True)):
-            pairs = poselib.PairwiseMatches()
-            pairs.cam_id1 = pairs.cam_id2 = c
-            pairs.x1, pairs.x2 = x, y
-            matches.append(pairs)
-        return lambda: _rigid(
+        matches = poselib_matches(zip(scene.before, scene.after, strict=True))
+        return lambda: poselib_pose(
             poselib.estimate_generalized_relative_pose(matches, poses, cameras, poses, cameras, ransac, bundle)
         )
-
-    def _rigid(found: tuple[Any, Options]) -> RigidTransform | None:
-        pose, info = found
-        if not info["num_inliers"] or not np.isfinite([*pose.q, *pose.t]).all():
-            return None
-        return RigidTransform.from_components(pose.t, Rotation.from_matrix(pose.R))
 
     return prepare
 
@@ -209,12 +193,8 @@ def load_pycolmap() -> Prepare:
     def prepare(scene: Scene, options: Options) -> Callable[[], RigidTransform | None]:
         cameras, poses = [], []
         for camera in scene.rig:
-            (fx, _, cx), (_, fy, cy) = camera.matrix[:2].tolist()
-            # COLMAP's pixel centres are at half integers, ours at integers: the same shift in points and principal point
-            # changes nothing.
-            cameras.append(
-                pycolmap.Camera(model="PINHOLE", width=camera.size[0], height=camera.size[1], params=[fx, fy, cx, cy])
-            )
+            width, height = camera.size
+            cameras.append(pycolmap.Camera(model="PINHOLE", width=width, height=height, params=pinhole_of(camera)))
             poses.append(pycolmap.Rigid3d(camera.camera_from_world.as_matrix()[:3]))
         ransac = pycolmap.RANSACOptions()
         ransac.random_seed, ransac.num_threads = 0, 1
@@ -227,14 +207,11 @@ def load_pycolmap() -> Prepare:
                 found = pycolmap.estimate_and_refine_generalized_absolute_pose(
                     after, before, index, poses, cameras, ransac
                 )
-                return None if found is None else _rigid(found["rig_from_world"])
+                return None if found is None else colmap_pose(found["rig_from_world"])
             found = pycolmap.estimate_generalized_relative_pose(before, after, index, index, poses, cameras, ransac)
-            return None if found is None else _rigid(found["rig2_from_rig1"])
+            return None if found is None else colmap_pose(found["rig2_from_rig1"])
 
         return call
-
-    def _rigid(pose: Any) -> RigidTransform:
-        return RigidTransform.from_components(pose.translation, Rotation.from_matrix(pose.rotation.matrix()))
 
     return prepare
 

@@ -72,7 +72,7 @@ def test_each_object_is_where_it_is(two: Path, out: Path, name: str) -> None:
 def test_other_objects_make_no_difference(two: Path, out: Path, tmp_path: Path) -> None:
     """One object alone, from the same boxes: the same files."""
     session = Path(shutil.copytree(two, tmp_path / "session"))
-    table = re.search(r"\[tray\]\n((?:cam.*\n)+)", (two / "boxes.toml").read_text())
+    table = re.search(r'\["tray"\]\n((?:"cam.*\n)+)', (two / "boxes.toml").read_text())
     assert table is not None
     (session / "boxes.toml").write_text(table[1])
     assert main(["track", str(session), "--no-overlay"]) == 0

@@ -29,12 +29,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.capture import Box, FrameSet
+from sylpose.choices import METHODS
 from sylpose.reference import Reference
 from sylpose.region import polygon_mask, region_polygon
 from sylpose.results import Status
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import arc, demo_scene
-from sylpose.tracking import METHODS, TrackedFrame, Tracker, track
+from sylpose.tracking import TrackedFrame, Tracker, track
 
 
 @pytest.fixture(scope="module")

@@ -147,14 +147,12 @@ def drifting(frame: float) -> RigidTransform:
 NOWHERE = RigidTransform.from_translation([0, 9, 0])
 
 
-@pytest.mark.parametrize("features", ["klt", "sift"])
-def test_all_cameras_covered_for_a_few_frames(features: str) -> None:
+@pytest.mark.parametrize(("features", "back", "most_deg", "most_mm"), [("klt", 13, 0.8, 3), ("sift", 12, 0.3, 1)])
+def test_all_cameras_covered_for_a_few_frames(features: str, back: int, most_deg: float, most_mm: float) -> None:
     rig = moving_scene(drifting, 1).rig
     clip = Clip.render(moving_scene(drifting, 18, [board_before(camera, 7, 11) for camera in rig]))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, features=features))
-    # Found again at once, or one or two frames later, when more can be told.
-    back = statuses(tracked).index(Status.RELOCALISED)
-    assert 12 <= back <= 14
+    # Found again at once by SIFT's three keyframes. KLT has made one only, 36 degrees ago: it waits a frame for more.
     assert statuses(tracked) == [
         Status.FIRST,
         *[Status.TRACKED] * 6,
@@ -165,11 +163,11 @@ def test_all_cameras_covered_for_a_few_frames(features: str) -> None:
     assert_valid(tracked)
     error = errors(tracked, clip.truth)
     assert error[:6, 0].max() < 0.25
-    assert error[back - 1 :, 0].max() < 0.8
-    assert error[back - 1 :, 1].max() < 3
+    assert error[back - 1 :, 0].max() < most_deg
+    assert error[back - 1 :, 1].max() < most_mm
     # It goes on as it did, and what is said of that covers the error and grows.
     coasting = tracked[7:12]
-    assert error[6:11, 0].max() < 2
+    assert error[6:11, 0].max() < 1
     assert normalised_squares(tracked, clip.truth)[6:11].max() < 40
     assert (np.diff([np.linalg.norm(f.pose.sigma[3:]) for f in coasting]) > 0).all()
     assert not any(f.pose.measured for f in coasting)

@@ -22,7 +22,6 @@ from sylpose.bundle_system import Factor, System
 __all__ = ["excess_variance"]
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # Frames that a frame's figure is the median of.
 AMONG = 11
@@ -55,30 +54,28 @@ def excess_variance(
         return np.ones(len(covariance))
     landmark = np.repeat(np.arange(len(points)), np.diff(seen.start))
     octant = (points > np.median(points, axis=0)) @ np.array([1, 2, 4])
-    excess = np.zeros(len(covariance))
+    frames, cameras = len(covariance), len(system.basis)
+    excess = np.zeros(frames)
     for group in (8 * seen.camera + octant[landmark], seen.camera):
-        _, group = np.unique(group, return_inverse=True)
-        ratio = _ratio(seen, views, points, weights, prior, group, system, factor, covariance)
+        names, group = np.unique(group, return_inverse=True)
+        by_pose, by_offset = np.zeros((frames, len(names), 6)), np.zeros((len(names), cameras))
+        shares = np.zeros((frames, len(names), 6, 6))
+        scores(seen, views, points, weights, prior, group, by_pose, by_offset, shares)
+        ratio = _ratio(by_pose, by_offset, shares, system, factor, covariance)
         excess += np.maximum(median_filter(ratio, AMONG, mode="nearest") - 1.0, 0.0)
     return 1.0 + excess
 
 
 def _ratio(
-    seen: Sightings,
-    views: Views,
-    points: FloatArray,
-    weights: FloatArray,
-    prior: float,
-    group: IntArray,
+    by_pose: FloatArray,
+    by_offset: FloatArray,
+    shares: FloatArray,
     system: System,
     factor: Factor,
     covariance: FloatArray,
 ) -> FloatArray:
-    """(F,) scatter of the groups' parts, relative to that of independent noise."""
-    frames, groups, cameras = len(covariance), int(group.max()) + 1, len(system.basis)
-    by_pose, by_offset = np.zeros((frames, groups, 6)), np.zeros((groups, cameras))
-    shares = np.zeros((frames, groups, 6, 6))
-    scores(seen, views, points, weights, prior, group, by_pose, by_offset, shares)
+    """(F,) scatter of the groups' parts, relative to that of independent noise; the first three as `scores` gives them."""
+    frames, groups, _ = by_pose.shape
     right = np.ascontiguousarray(by_pose.transpose(0, 2, 1)).reshape(6 * frames, groups)
     slope = by_offset.T if system.basis.shape[1] else np.zeros((0, groups))
     parts = system.answer(right, slope, factor)[0].reshape(frames, 6, groups)

@@ -21,12 +21,13 @@ from sylpose.klt import Tracks, advance, begin, grey
 from sylpose.reference import Pair, Reference
 from sylpose.rig import Rig
 
-__all__ = ["Anchor", "Followed", "begin_anchor", "follow", "greys", "with_new"]
+__all__ = ["Anchor", "Followed", "begin_anchor", "follow", "with_new"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 Images = Sequence[NDArray[np.uint8] | None]
+Regions = Sequence[FloatArray | None]
 
 # Features per camera that an anchor has in all, if there are so many (keyframes are anchors, and are searched by them), and
 # how many are followed of them; how many of these are new at least.
@@ -35,6 +36,11 @@ FEATURES, FOLLOWED, MIN_NEW = 350, 170, 40
 SAME_PX = 4.0
 # Features that were lost on the way are looked for again where their depth is known to this share of the object's radius.
 KNOWN_DEPTH = 0.1
+# What of an anchor's features must still be seen: these shares of them, in all and in each camera, and so many in all, while
+# the object has turned by less than this (radians) since.
+ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 0.4, 0.25, 60, np.radians(20.0)
+# Frames until a camera in which no feature was followed is searched again.
+ASK_AGAIN = 8
 
 
 @dataclass(eq=False)
@@ -46,12 +52,39 @@ class Anchor:
         tracks: per camera, a row for each of the reference's features.
         alive: per camera (n,), False for features that turned out not to be on the object.
         images: per camera the last one, grey; None before the camera's first.
+        age: number of frames that were solved by its features alone.
     """
 
     reference: Reference
     tracks: list[Tracks]
     alive: list[BoolArray]
     images: list[NDArray[np.uint8] | None]
+    age: int = 0
+
+    def suffices(self, followed: Followed, ahead: RigidTransform, regions: Regions) -> bool:
+        """Whether enough of the features are still seen to do without new ones.
+
+        Args:
+            ahead: world_from_object as predicted for the frame.
+            regions: of the object, per camera; None where it is out of sight.
+        """
+        turn = (ahead.rotation * self.reference.world_from_object.rotation.inv()).magnitude()
+        found, alive = np.array([len(rows) for rows in followed.rows]), np.array([n.sum() for n in self.alive])
+        enough = found.sum() >= max(ANCHOR_SHARE * alive.sum(), MIN_FOLLOWED) and (found >= CAMERA_SHARE * alive).all()
+        for image, region, before, n in zip(followed.images, regions, self.images, alive, strict=True):
+            # A camera that gives images again takes part at once; one that saw nothing is asked again after a while.
+            looks = image is not None and region is not None
+            enough &= not (looks and before is None)
+            enough &= not (looks and n == 0 and self.age >= ASK_AGAIN)
+        return bool(enough and turn < ANCHOR_TURN)
+
+    def go_on(self, followed: Followed, pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> None:
+        """A frame was solved by its features alone: what did not agree there is not on the object."""
+        for pair, w in zip(pairs, weights, strict=True):
+            self.alive[pair.camera][pair.indices[w == 0, 0]] = False
+        self.tracks = followed.tracks
+        self.images = [old if new is None else new for old, new in zip(self.images, followed.images, strict=True)]
+        self.age += 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +92,15 @@ class Followed:
     """What an anchor's features look like in a frame.
 
     Attributes:
+        anchor: whose features they are.
         rows: per camera (m,) which of the anchor's features were found.
         features: per camera, those features in the frame.
         before: per camera (m, 2) where they were in the frame before; NaN for those that were lost there.
         tracks: per camera, of all of the anchor's features.
-        images: per camera, grey.
+        images: per camera the frame's, grey, or None.
     """
 
+    anchor: Anchor
     rows: tuple[IntArray, ...]
     features: tuple[Features, ...]
     before: tuple[FloatArray, ...]
@@ -75,9 +110,9 @@ class Followed:
     def __len__(self) -> int:
         return sum(len(rows) for rows in self.rows)
 
-    def pairs(self, anchor: Reference) -> list[Pair]:
+    def pairs(self) -> list[Pair]:
         """Their matches with the anchor; in the frame they are the first features of each camera."""
-        found = []
+        anchor, found = self.anchor.reference, []
         for c, (rows, b) in enumerate(zip(self.rows, self.features, strict=True)):
             if len(rows):
                 a = anchor.features[c]
@@ -86,20 +121,16 @@ class Followed:
         return found
 
 
-def greys(images: Images) -> list[NDArray[np.uint8] | None]:
-    """Grey images of those there are."""
-    return [None if image is None else grey(image) for image in images]
-
-
-def begin_anchor(current: Reference, images: Sequence[NDArray[np.uint8] | None], before: Followed | None) -> Anchor:
+def begin_anchor(current: Reference, images: Images, before: Followed | None) -> Anchor:
     """Makes a solved frame an anchor.
 
     Args:
-        images: (h, w) grey, per camera.
+        images: the frame's, per camera.
         before: what was followed up to it: the first features of each of its cameras. They keep their patches.
     """
+    greys = _greys(images) if before is None else before.images
     tracks = []
-    for c, (features, image) in enumerate(zip(current.features, images, strict=True)):
+    for c, (features, image) in enumerate(zip(current.features, greys, strict=True)):
         known = 0 if before is None else len(before.rows[c])
         if image is None:
             image = np.zeros((1, 1), np.uint8)  # where nothing can be begun
@@ -107,7 +138,11 @@ def begin_anchor(current: Reference, images: Sequence[NDArray[np.uint8] | None],
         tracks.append(new if before is None else before.tracks[c].subset(before.rows[c]).join(new))
     carried = [0] * len(tracks) if before is None else [len(rows) for rows in before.rows]
     alive = [_some(t.followed, n) for t, n in zip(tracks, carried, strict=True)]
-    return Anchor(current, tracks, alive, list(images))
+    return Anchor(current, tracks, alive, greys)
+
+
+def _greys(images: Images) -> list[NDArray[np.uint8] | None]:
+    return [None if image is None else grey(image) for image in images]
 
 
 def _some(followed: BoolArray, known: int) -> BoolArray:
@@ -125,7 +160,7 @@ def follow(
     rig: Rig,
     last: RigidTransform,
     ahead: RigidTransform,
-    images: Sequence[NDArray[np.uint8] | None],
+    images: Images,
     masks: Sequence[BoolArray | None],
     radius: float,
     pool: Executor,
@@ -134,13 +169,13 @@ def follow(
 
     Args:
         last, ahead: world_from_object, of the images they were last followed to and as predicted for these.
-        images: (h, w) grey, per camera; masks: (h, w), True on the object.
+        images: the frame's, per camera; masks: (h, w), True on the object.
         radius: of the object.
         pool: one job per camera.
     """
 
     def run(c: int) -> tuple[IntArray, Features, Tracks]:
-        camera, image, before, tracks = rig.cameras[c], images[c], anchor.images[c], anchor.tracks[c]
+        camera, image, before, tracks = rig.cameras[c], greys[c], anchor.images[c], anchor.tracks[c]
         if image is None or before is None or not anchor.alive[c].any():
             return np.empty(0, np.int64), Features.none(), tracks
         landmarks = anchor.reference.landmarks[c]
@@ -158,11 +193,12 @@ def follow(
         features = Features(pixels, camera.normalize(pixels), anchor.reference.features[c].descriptors[rows])
         return rows, features, tracks
 
+    greys = _greys(images)
     was_at = [tracks.pixels for tracks in anchor.tracks]
     found = list(pool.map(run, range(len(rig))))
     before = tuple(pixels[f[0]] for pixels, f in zip(was_at, found, strict=True))
-    shown = [old if new is None else new for old, new in zip(anchor.images, images, strict=True)]
-    return Followed(tuple(f[0] for f in found), tuple(f[1] for f in found), before, [f[2] for f in found], shown)
+    rows, features = tuple(f[0] for f in found), tuple(f[1] for f in found)
+    return Followed(anchor, rows, features, before, [f[2] for f in found], greys)
 
 
 def with_new(followed: Followed, detected: Sequence[Features], known: Sequence[BoolArray]) -> tuple[Features, ...]:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.capture import Box, FrameSet
+from sylpose.choices import FEATURES, METHODS
 from sylpose.features import MAX_FEATURES, Features, detect, seen_before
 from sylpose.fit import MIN_MATCHES, Fit
-from sylpose.following import Anchor, Followed, begin_anchor, follow, greys, with_new
+from sylpose.following import ANCHOR_SHARE, Anchor, Followed, begin_anchor, follow, with_new
 from sylpose.keyframes import add_keyframe, references_of, viewpoints
 from sylpose.motion import covariance_of, motion_about, observed
 from sylpose.object_model import ObjectModel
@@ -29,16 +30,12 @@ from sylpose.terms import object_place
 from sylpose.tracked import Sightings, TrackedFrame, solved_frame, unsolved_frame
 from sylpose.velocity import Velocity
 
-__all__ = ["FEATURES", "METHODS", "Sightings", "TrackedFrame", "Tracker", "track"]
+__all__ = ["Sightings", "TrackedFrame", "Tracker", "track"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Regions = Sequence[FloatArray | None]
 
-# How each frame's pose is found; the first is the default.
-METHODS = tuple(SOLVERS)
-# Where the features of a frame come from; the first is the default.
-FEATURES = ("auto", "sift", "klt")
 # Without boxes nothing is known of the object until it moves: so many frames wait for that, with their images.
 PATIENCE = 10
 # What moves by this much in the middle, pixels, is told from what does not; a smaller motion has to wait for a larger one.
@@ -51,11 +48,8 @@ AMBIGUOUS = (
 REGION_GROWTH, MAX_GROWTH = 0.15, 1.0
 # Features per camera while the object may be anywhere in the image.
 START_FEATURES = 4000
-# Features per camera of an anchor; and what of them must still be seen: these shares of them, in all and in each camera,
-# and so many in all, while the object has turned by less than this (radians) since.
-KLT_FEATURES, ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 400, 0.4, 0.25, 60, np.radians(20.0)
-# Frames until a camera in which no feature was followed is searched again.
-ASK_AGAIN = 8
+# Features per camera that are detected where features are followed.
+KLT_FEATURES = 400
 # With a turn less certain than this (radians), an object that was missed is not taken as found, for so many frames at most.
 AGAIN_SD, WAIT_FOR_MORE = 0.005, 2
 # A pose found again must be the one that relocalisation found: within this turn (radians) and share of the radius.
@@ -128,7 +122,7 @@ class Tracker:
         workers: int | None = None,
         seed: int = 0,
     ) -> None:
-        if method not in SOLVERS:
+        if method not in METHODS:
             raise ValueError(f"method: {method!r} is not one of {', '.join(METHODS)}")
         if method == "sylvester" and features == "klt":
             raise ValueError(
@@ -145,7 +139,6 @@ class Tracker:
         self._offsets = dict(offsets or {})
         self._follows = features == "klt" or (features == "auto" and method == "landmarks")
         self._anchor: Anchor | None = None  # whose features are followed
-        self._since_anchor = 0  # frames
         self._keyframes: list[Reference] = []
         self._last: Reference  # the last solved frame, from the first one on
         self._waiting: list[tuple[Reference, FrameSet]] = []
@@ -263,7 +256,7 @@ class Tracker:
         self._last = first
         self._keyframes.append(first)
         if self._follows:
-            self._anchor = begin_anchor(first, greys(frames.images), None)
+            self._anchor = begin_anchor(first, frames.images, None)
         return solved_frame(first, frames, Status.FIRST, regions, self._object.radius)
 
     def _await_motion(self, current: Reference, frames: FrameSet) -> list[TrackedFrame]:
@@ -327,7 +320,7 @@ class Tracker:
         if not self._lost:
             regions = self._object.regions(self.rig, ahead, min(REGION_GROWTH * (1 + self._missed), MAX_GROWTH))
             followed = self._follow(frames, ahead)
-            if followed is not None and self._suffices(followed, frames, ahead, regions):
+            if followed is not None and followed.anchor.suffices(followed, ahead, regions):
                 current = self._reference(frames, followed.features)
                 found = self._solve_from(current, ahead, followed, anew=False)
                 if found is not None and found.inliers > ANCHOR_SHARE * len(followed):
@@ -372,23 +365,8 @@ class Tracker:
         """The anchor's features in the next images; None without an anchor, or after a frame without the object."""
         if self._anchor is None or self._missed:
             return None
-        images = greys(frames.images)
         last = self._last.world_from_object
-        return follow(self._anchor, self.rig, last, ahead, images, frames.masks, self._object.radius, self._pool)
-
-    def _suffices(self, followed: Followed, frames: FrameSet, ahead: RigidTransform, regions: Regions) -> bool:
-        """Whether enough of the anchor's features are still seen to do without new ones."""
-        assert self._anchor is not None
-        reference = self._anchor.reference
-        turn = (ahead.rotation * reference.world_from_object.rotation.inv()).magnitude()
-        found, alive = np.array([len(rows) for rows in followed.rows]), np.array([n.sum() for n in self._anchor.alive])
-        enough = found.sum() >= max(ANCHOR_SHARE * alive.sum(), MIN_FOLLOWED) and (found >= CAMERA_SHARE * alive).all()
-        for image, region, before, n in zip(frames.images, regions, self._anchor.images, alive, strict=True):
-            # A camera that gives images again takes part at once; one that saw nothing is asked again after a while.
-            looks = image is not None and region is not None
-            enough &= not (looks and before is None)
-            enough &= not (looks and n == 0 and self._since_anchor >= ASK_AGAIN)
-        return bool(enough and turn < ANCHOR_TURN)
+        return follow(self._anchor, self.rig, last, ahead, frames.images, frames.masks, self._object.radius, self._pool)
 
     def _predict(self, time: float) -> RigidTransform:
         """The pose that constant velocity gives; the last pose once the object is lost."""
@@ -405,7 +383,7 @@ class Tracker:
             anew: whether it has others, to be matched by their looks.
         """
         base = self._last
-        pairs = followed.pairs(self._anchor.reference) if followed is not None and self._anchor is not None else []
+        pairs = [] if followed is None else followed.pairs()
         if anew:
             pairs += self._match(current, guess, with_last=followed is None)
         if self._object.guessed:
@@ -461,19 +439,13 @@ class Tracker:
         status = Status.RELOCALISED if self._missed else Status.TRACKED
         self._missed, self._lost, self._seen_again = 0, False, 0
         self._last = current
-        if self._anchor is not None and followed is not None:
-            for pair, weights in zip(pairs, fit.weights, strict=True):
-                if pair.reference is self._anchor.reference:
-                    self._anchor.alive[pair.camera][pair.indices[weights == 0, 0]] = False
-            self._anchor.tracks, self._anchor.images = followed.tracks, followed.images
-            self._since_anchor += 1
         if anew:
             add_keyframe(self._keyframes, current)
             # Where it was found again next to nothing is known of what else is seen: the next frame asks the keyframes too.
-            if self._follows and status is Status.TRACKED:
-                self._anchor, self._since_anchor = begin_anchor(current, greys(frames.images), followed), 0
-            else:
-                self._anchor = None
+            begins = self._follows and status is Status.TRACKED
+            self._anchor = begin_anchor(current, frames.images, followed) if begins else None
+        elif followed is not None:
+            followed.anchor.go_on(followed, pairs, fit.weights)
         before = None if followed is None else followed.before
         return solved_frame(current, frames, status, regions, self._object.radius, pairs, fit, base, before)
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from sylpose.app.checkpoint import CHECKPOINT, fingerprint, load_checkpoint, save_checkpoint
-from sylpose.app.choices import FEATURES, METHODS
 from sylpose.app.clock import Clock
 from sylpose.app.offsets import find_offsets, retimed
 from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
 from sylpose.capture import FrameSet, Session
 from sylpose.capture.live import LiveSession
+from sylpose.choices import FEATURES, METHODS
 from sylpose.report.files import output_folder, writing
 from sylpose.results import Trajectory
 from sylpose.rig import Rig

@@ -8,19 +8,24 @@ from typing import Any
 import msgspec
 
 from sylpose.calibration.build import convert, make_camera, make_pose, make_rig
-from sylpose.rig import Rig
+from sylpose.rig import Camera, Rig
 
-__all__ = ["is_anipose", "read"]
+__all__ = ["CameraTable", "camera_of", "is_anipose", "read"]
 
 
-class _Camera(msgspec.Struct):
+class CameraTable(msgspec.Struct):
+    """A camera as Anipose and Caliscope write it."""
+
     size: tuple[float, float]
     matrix: list[list[float]]
     distortions: list[float | list[float]]
     rotation: list[float | list[float]]
     translation: list[float | list[float]]
-    name: str | None = None
     fisheye: bool = False
+
+
+class _NamedTable(CameraTable):
+    name: str | None = None
 
 
 def is_anipose(data: dict[str, Any]) -> bool:
@@ -39,17 +44,23 @@ def read(data: dict[str, Any], path: Path) -> Rig:
     for key, table in data.items():
         if key == "metadata":
             continue
-        entry = convert(table, _Camera, f"{path}: camera {key}")
-        name = entry.name or key
-        cameras.append(
-            make_camera(
-                path,
-                name,
-                size=entry.size,
-                matrix=entry.matrix,
-                distortion=entry.distortions,
-                camera_from_world=make_pose(path, name, entry.rotation, entry.translation),
-                lens="fisheye" if entry.fisheye else "opencv",
-            )
-        )
+        entry = convert(table, _NamedTable, f"{path}: camera {key}")
+        cameras.append(camera_of(path, entry.name or key, entry))
     return make_rig(path, cameras)
+
+
+def camera_of(path: Path, name: str, table: CameraTable) -> Camera:
+    """The camera of a table.
+
+    Raises:
+        ValueError: naming file and camera.
+    """
+    return make_camera(
+        path,
+        name,
+        size=table.size,
+        matrix=table.matrix,
+        distortion=table.distortions,
+        camera_from_world=make_pose(path, name, table.rotation, table.translation),
+        lens="fisheye" if table.fisheye else "opencv",
+    )

@@ -5,21 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
-from sylpose.calibration.build import convert, make_camera, make_pose, make_rig
+from sylpose.calibration.anipose import CameraTable, camera_of
+from sylpose.calibration.build import convert, make_rig
 from sylpose.rig import Rig
 
 __all__ = ["is_caliscope", "read"]
-
-
-class _Camera(msgspec.Struct):
-    size: tuple[float, float]
-    matrix: list[list[float]]
-    distortions: list[float | list[float]]
-    rotation: list[float | list[float]]
-    translation: list[float | list[float]]
-    fisheye: bool = False
 
 
 def is_caliscope(data: dict[str, Any]) -> bool:
@@ -51,16 +41,5 @@ def read(data: dict[str, Any], path: Path) -> Rig:
                 f"{path}: camera {name}: no rotation and translation: calibrate its pose in Caliscope, "
                 "or write ignore = true to leave it out"
             )
-        entry = convert(table, _Camera, f"{path}: camera {name}")
-        cameras.append(
-            make_camera(
-                path,
-                name,
-                size=entry.size,
-                matrix=entry.matrix,
-                distortion=entry.distortions,
-                camera_from_world=make_pose(path, name, entry.rotation, entry.translation),
-                lens="fisheye" if entry.fisheye else "opencv",
-            )
-        )
+        cameras.append(camera_of(path, name, convert(table, CameraTable, f"{path}: camera {name}")))
     return make_rig(path, cameras)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import threading
-import warnings as python_warnings
 from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -18,8 +17,8 @@ from sylpose import calibration as calibrations
 from sylpose.capture.assembly import Assembler, Tally
 from sylpose.capture.growing import Pace, check_folders, read_folders
 from sylpose.capture.names import belongs_to, match_names
-from sylpose.capture.regions import Box, Masks, find_masks, load_boxes, object_names
-from sylpose.capture.session import FrameSet, any_of
+from sylpose.capture.regions import Masks, find_masks, load_boxes, object_names
+from sylpose.capture.session import FrameSet, SessionBase, any_of, warn
 from sylpose.capture.sources import Source
 from sylpose.capture.streams import PAUSES, Device, open_device, read_streams
 from sylpose.rig import Rig
@@ -45,58 +44,22 @@ class _LiveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 @dataclass(frozen=True, eq=False)
-class LiveSession:
-    """A rig whose frames come while they are read; as far as it goes the same as a `Session`.
+class LiveSession(SessionBase):
+    """A rig whose frames come while they are read; as far as it goes the same as a `Session`. Each mask is one camera's,
+    for all of its frames.
 
     Attributes:
-        path: the session's folder.
-        rig, calibration, objects: as in `Session`.
-        masks: the folder of masks, one per camera for all frames, or None.
         rate: frames per second, if somebody said it.
-        warnings: sentences about what looks wrong but can be worked with.
         dropped: by camera, frames of the latest `frames` that came and are in no frame set.
         missed: by camera, frame sets of the latest `frames` that were given without it while it was late or dead.
     """
 
-    path: Path
-    rig: Rig
-    calibration: Path
-    objects: tuple[str, ...]
-    masks: Path | None
     rate: float | None
-    warnings: tuple[str, ...]
     dropped: dict[str, int]
     missed: dict[str, int]
-    _boxes: dict[str, dict[str, Box]] = field(repr=False)
-    _masks: dict[str, tuple[Masks, ...]] = field(repr=False)
     _reader: Reader = field(repr=False)
     _tally: Tally = field(repr=False)
     _stopped: threading.Event = field(repr=False, default_factory=threading.Event)
-
-    @property
-    def boxes(self) -> dict[str, Box]:
-        """The object's box in the first frame set that is given, by camera; not every camera has one.
-
-        Raises:
-            ValueError: the session has several objects: see `of`.
-        """
-        if len(self.objects) > 1:
-            raise ValueError(
-                f"{self.path}: several objects ({', '.join(self.objects)}): take the boxes of one at a time"
-            )
-        return self._boxes.get(self.objects[0], {})
-
-    def of(self, name: str) -> LiveSession:
-        """The same cameras with the boxes and masks of one object only.
-
-        Raises:
-            ValueError: no such object.
-        """
-        if name not in self.objects:
-            raise ValueError(f"{self.path}: no object {name!r} in the session ({', '.join(self.objects)})")
-        boxes = {name: self._boxes[name]} if name in self._boxes else {}
-        masks = {name: self._masks[name]} if name in self._masks else {}
-        return replace(self, objects=(name,), _boxes=boxes, _masks=masks)
 
     @property
     def n_frames(self) -> None:
@@ -135,7 +98,7 @@ class LiveSession:
             raise ValueError(f"every must be at least 1, got {every}")
         self._stopped.clear()
         instants = range(start, sys.maxsize if stop is None else stop, every)
-        return self._read(instants, on_problem or _warn)
+        return self._read(instants, on_problem or warn)
 
     def _read(self, instants: range, on_problem: Callable[[str], None]) -> Generator[FrameSet, None, None]:
         self._tally.reset()
@@ -297,7 +260,3 @@ def _stream(
 ) -> Generator[FrameSet, None, None]:
     openers = [partial(opener, sources[camera.name], camera.size, limits[2]) for camera in rig]
     return read_streams(rig, openers, Assembler(tally, *limits), instants, on_problem, stopped, PAUSES)
-
-
-def _warn(problem: str) -> None:
-    python_warnings.warn(problem, stacklevel=3)

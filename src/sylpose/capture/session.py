@@ -9,6 +9,7 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from sylpose.capture.sources import Source, find_sources
 from sylpose.capture.timeline import Timeline, build_timeline, load_timestamps
 from sylpose.rig import Rig
 
-__all__ = ["FrameSet", "Session", "any_of", "open_session"]
+__all__ = ["FrameSet", "Session", "SessionBase", "any_of", "open_session", "warn"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,34 +58,30 @@ class FrameSet:
 
 
 @dataclass(frozen=True, eq=False)
-class Session:
-    """A recording of one object or several: a rig, and one video or image folder per camera.
+class SessionBase:
+    """What recordings and live sessions have in common: a rig, and one object or several in front of it.
 
     Attributes:
         path: the session's folder.
         rig: the calibrated cameras.
         calibration: the file that the rig was read from.
-        sources: one per camera, in the rig's order.
         objects: the objects' names; "object" for one that has none. All of them have boxes or none, and masks or none.
         masks: the folder of masks, or None.
-        timeline: which frame each camera shows at each instant, and when.
         warnings: sentences about what looks wrong but can be worked with.
     """
 
     path: Path
     rig: Rig
     calibration: Path
-    sources: tuple[Source, ...]
     objects: tuple[str, ...]
     masks: Path | None
-    timeline: Timeline
     warnings: tuple[str, ...]
     _boxes: dict[str, dict[str, Box]] = field(repr=False)
     _masks: dict[str, tuple[Masks, ...]] = field(repr=False)
 
     @property
     def boxes(self) -> dict[str, Box]:
-        """The object's box in the first frame, by camera; not every camera has one.
+        """The object's box in the first frame that is given, by camera; not every camera has one.
 
         Raises:
             ValueError: the session has several objects: see `of`.
@@ -95,8 +92,8 @@ class Session:
             )
         return self._boxes.get(self.objects[0], {})
 
-    def of(self, name: str) -> Session:
-        """The same recording of one object only, with its boxes and masks.
+    def of(self, name: str) -> Self:
+        """The same cameras with the boxes and masks of one object only.
 
         Raises:
             ValueError: no such object.
@@ -106,6 +103,19 @@ class Session:
         boxes = {name: self._boxes[name]} if name in self._boxes else {}
         masks = {name: self._masks[name]} if name in self._masks else {}
         return replace(self, objects=(name,), _boxes=boxes, _masks=masks)
+
+
+@dataclass(frozen=True, eq=False)
+class Session(SessionBase):
+    """A recording: one video or image folder per camera.
+
+    Attributes:
+        sources: one per camera, in the rig's order.
+        timeline: which frame each camera shows at each instant, and when.
+    """
+
+    sources: tuple[Source, ...]
+    timeline: Timeline
 
     @property
     def n_frames(self) -> int:
@@ -146,7 +156,7 @@ class Session:
         if every < 1:
             raise ValueError(f"every must be at least 1, got {every}")
         instants = range(start, self.n_frames if stop is None else min(stop, self.n_frames), every)
-        return self._read(instants, on_problem or _warn)
+        return self._read(instants, on_problem or warn)
 
     def _read(self, instants: range, on_problem: Callable[[str], None]) -> Generator[FrameSet, None, None]:
         with ExitStack() as stack:
@@ -257,5 +267,6 @@ def any_of(masks: Sequence[NDArray[np.bool_] | None]) -> NDArray[np.bool_] | Non
     return known[0] if len(known) == 1 else np.logical_or.reduce(known)
 
 
-def _warn(problem: str) -> None:
+def warn(problem: str) -> None:
+    """What becomes of a problem that the caller of `frames` does not take."""
     python_warnings.warn(problem, stacklevel=3)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
-import av
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.rig import Rig, nearest_point_to_rays
+from sylpose.simulate.files import FRAME_RATE, session_folder, write_boxes, write_truth, write_videos
 from sylpose.simulate.render import Actor, Scene, chamfered_box, render_frames
 from sylpose.simulate.rigs import arc
 
@@ -21,7 +19,6 @@ __all__ = ["DemoTruth", "demo_scene", "demo_truth", "render_sequence", "write_se
 
 FloatArray = NDArray[np.float64]
 
-FRAME_RATE = 30
 # The block's longest side, as a share of the image's shorter side.
 OBJECT_SHARE = 0.45
 # One lens per camera, in turn: mild barrels, as of webcams.
@@ -150,55 +147,12 @@ def write_sequence(out_dir: str | Path, scene: Scene, *, boxes: bool = False) ->
         OSError: a folder or file that cannot be written.
         ValueError: images of odd width or height, which videos cannot hold.
     """
-    from sylpose import calibration  # the importers of other formats are of no use to the rest of this package
-
-    for camera in scene.rig:
-        if camera.size[0] % 2 or camera.size[1] % 2:
-            raise ValueError(f"camera {camera.name}: videos need an even width and height, got {camera.size}")
-    out = Path(out_dir)
-    out.mkdir(parents=True, exist_ok=True)
+    out = session_folder(out_dir, scene.rig)
     truth = demo_truth(scene)
-    calibration.save(scene.rig, out / "calibration.toml")
-    poses = truth.world_from_object
-    rows = np.column_stack([truth.times, poses.translation, poses.rotation.as_quat(canonical=True)])
-    np.savetxt(out / "groundtruth.tum", rows, fmt="%.9g", header="time tx ty tz qx qy qz qw : world_from_object")
-    center = ", ".join(f"{v:.9g}" for v in poses.translation[0])
-    (out / "dataset.toml").write_text(
-        f'calibration = "calibration.toml"\ngroundtruth = "groundtruth.tum"\ncenter_world = [{center}]\n'
-    )
-    if boxes:
-        lines = ["# Boxes of the object in the first frame, pixels: x, y, width, height."]
-        lines += [f'"{name}" = {list(box)}' for name, box in truth.boxes.items()]
-        (out / "boxes.toml").write_text("\n".join(lines) + "\n")
-    else:
-        (out / "boxes.toml").unlink(missing_ok=True)  # an earlier run's would be taken for this one's
-    _write_videos(out, scene)
+    write_truth(out, {"object": truth.world_from_object})
+    write_boxes(out, {"object": truth.boxes} if boxes else {})
+    write_videos(out, scene.rig, render_frames(scene), scene.frames)
     return truth
-
-
-def _write_videos(out: Path, scene: Scene) -> None:
-    # So little compression that its noise stays well under the camera's own; one thread, as the result depends on them.
-    codec, options = "mpeg4", {"qscale": "2"}
-    if "libx264" in av.codecs_available:
-        codec, options = "libx264", {"crf": "14", "preset": "veryfast", "threads": "1"}
-    files = [av.open(str(out / f"{camera.name}.mp4"), "w") for camera in scene.rig]
-    try:
-        streams = []
-        for file, camera in zip(files, scene.rig, strict=True):
-            # PyAV's types do not tell a stream of video from others.
-            stream: Any = file.add_stream(codec, rate=FRAME_RATE, options=options)
-            stream.width, stream.height = camera.size
-            stream.pix_fmt = "yuv420p"
-            stream.time_base = Fraction(1, FRAME_RATE)
-            streams.append(stream)
-        for images in render_frames(scene):
-            for file, stream, image in zip(files, streams, images, strict=True):
-                file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
-        for file, stream in zip(files, streams, strict=True):
-            file.mux(stream.encode())
-    finally:
-        for file in files:
-            file.close()
 
 
 def _demo_rig(n: int, size: tuple[int, int]) -> Rig:

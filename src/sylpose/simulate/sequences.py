@@ -5,16 +5,14 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
-import av
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from sylpose.simulate.demo import FRAME_RATE, demo_truth
+from sylpose.simulate.demo import demo_truth
+from sylpose.simulate.files import FRAME_RATE, session_folder, suffixes, write_boxes, write_truth, write_videos
 from sylpose.simulate.render import Actor, Scene, render_frames
 from sylpose.simulate.render import Path as Motion
 
@@ -68,35 +66,14 @@ def write_recording(recording: Recording, out_dir: str | Path) -> None:
         OSError: a folder or file that cannot be written.
         ValueError: images of odd width or height, which videos cannot hold.
     """
-    for camera in recording.scene.rig:
-        if camera.size[0] % 2 or camera.size[1] % 2:
-            raise ValueError(f"camera {camera.name}: videos need an even width and height, got {camera.size}")
-    out = Path(out_dir)
-    out.mkdir(parents=True, exist_ok=True)
     scene, rig = recording.scene, recording.scene.rig
-    from sylpose import calibration  # the importers of other formats are of no use to the rest of this package
-
-    calibration.save(rig, out / "calibration.toml")
-    boxes: list[str] = []
-    for k, name in enumerate(recording.objects):
-        suffix = "" if len(recording.objects) == 1 else f"_{name}"
-        truth = demo_truth(replace(scene, actors=scene.actors[k:]))
-        poses = truth.world_from_object
-        rows = np.column_stack([poses.translation, poses.rotation.as_quat(canonical=True)])
-        times = np.arange(recording.frames) / FRAME_RATE
-        table = np.column_stack([times, np.tile(rows, (recording.repeats, 1))])
-        np.savetxt(out / f"groundtruth{suffix}.tum", table, fmt="%.9g", header="time tx ty tz qx qy qz qw")
+    out = session_folder(out_dir, rig)
+    truths = {name: demo_truth(replace(scene, actors=scene.actors[k:])) for k, name in enumerate(recording.objects)}
+    write_truth(out, {name: truth.world_from_object for name, truth in truths.items()}, repeats=recording.repeats)
+    write_boxes(out, {name: truth.boxes for name, truth in truths.items()} if recording.boxes else {})
+    for k, (truth, suffix) in enumerate(zip(truths.values(), suffixes(recording.objects), strict=True)):
         np.savetxt(out / f"vertices{suffix}.txt", truth.vertices, fmt="%.9g", header="corners, object's frame")
-        if k == 0:
-            center = ", ".join(f"{v:.9g}" for v in poses.translation[0])
-            text = f'calibration = "calibration.toml"\ngroundtruth = "groundtruth{suffix}.tum"\n'
-            (out / "dataset.toml").write_text(f"{text}center_world = [{center}]\n")
-        if len(recording.objects) > 1:
-            boxes.append(f"[{name}]")
-        boxes += [f"{camera} = {list(box)}" for camera, box in truth.boxes.items()]
         _write_table(out / f"visible{suffix}.csv", rig.names, visible_shares(scene, k), "{:.3f}")
-    if recording.boxes:
-        (out / "boxes.toml").write_text("\n".join(boxes) + "\n")
     if recording.skew is not None:
         offsets = [f"{name} = {offset}" for name, offset in zip(rig.names, recording.skew, strict=True)]
         (out / "true_offsets.toml").write_text("\n".join(offsets) + "\n")
@@ -107,7 +84,7 @@ def write_recording(recording: Recording, out_dir: str | Path) -> None:
         if recording.shown is not None:
             stamps[~recording.shown] = np.nan
         _write_table(out / "timestamps.csv", rig.names, stamps, "{:.6f}")
-    _write_videos(recording, out)
+    write_videos(out, rig, _images(recording), scene.frames, quality=recording.quality, repeats=recording.repeats)
 
 
 def visible_shares(scene: Scene, index: int = 0) -> FloatArray:
@@ -141,8 +118,14 @@ def _write_table(path: Path, names: Sequence[str], values: FloatArray, style: st
             table.writerow([k, *("" if np.isnan(v) else style.format(v) for v in row)])
 
 
-def _images(recording: Recording) -> Iterator[tuple[Image, ...]]:
-    """The cameras' images, frame by frame, each at its own time."""
+def _images(recording: Recording) -> Iterator[list[Image | None]]:
+    """The cameras' images, frame by frame, each at its own time; None where a camera recorded none."""
+    for k, images in enumerate(_rendered(recording)):
+        shown = [True] * len(images) if recording.shown is None else recording.shown[k]
+        yield [image if there else None for image, there in zip(images, shown, strict=True)]
+
+
+def _rendered(recording: Recording) -> Iterator[tuple[Image, ...]]:
     scene = recording.scene
     if recording.skew is None:
         yield from render_frames(scene)
@@ -161,51 +144,3 @@ def _images(recording: Recording) -> Iterator[tuple[Image, ...]]:
 def _shifted(path: Motion, frames: float) -> Motion:
     """The path as it is seen so many frames late."""
     return lambda frame: path(frame + frames)
-
-
-def _write_videos(recording: Recording, out: Path) -> None:
-    """One video per camera, encoded as `write_sequence` does; repeats are the same packets again."""
-    rig, shown = recording.scene.rig, recording.shown
-    codec, options = "mpeg4", {"qscale": "2"}
-    if "libx264" in av.codecs_available:
-        # One key frame at the start and no frames that refer to later ones: such a video can follow itself.
-        key = {"bf": "0", "g": str(recording.scene.frames)} if recording.repeats > 1 else {}
-        codec, options = "libx264", {"crf": str(recording.quality), "preset": "veryfast", "threads": "1", **key}
-    files = [av.open(str(out / f"{camera.name}.mp4"), "w") for camera in rig]
-    try:
-        streams: list[Any] = []  # PyAV's types do not tell a stream of video from others
-        for file, camera in zip(files, rig, strict=True):
-            stream: Any = file.add_stream(codec, rate=FRAME_RATE, options=options)
-            stream.width, stream.height = camera.size
-            stream.pix_fmt = "yuv420p"
-            stream.time_base = Fraction(1, FRAME_RATE)
-            streams.append(stream)
-        packets: list[list[Any]] = [[] for _ in streams]  # of one round, where there are several
-
-        def put(c: int, made: Sequence[Any]) -> None:
-            for packet in made:
-                if recording.repeats > 1:
-                    packets[c].append(_later(packet, 0))  # muxing changes a packet
-                files[c].mux(packet)
-
-        for k, images in enumerate(_images(recording)):
-            for c, (stream, image) in enumerate(zip(streams, images, strict=True)):
-                if shown is None or shown[k, c]:
-                    put(c, stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
-        for c, stream in enumerate(streams):
-            put(c, stream.encode())
-            for k in range(1, recording.repeats):
-                for packet in packets[c]:
-                    files[c].mux(_later(packet, k * recording.scene.frames))
-    finally:
-        for file in files:
-            file.close()
-
-
-def _later(packet: Any, frames: int) -> Any:
-    """The same packet again, so many frames later."""
-    again: Any = av.Packet(bytes(packet))
-    again.stream, again.time_base, again.is_keyframe = packet.stream, packet.time_base, packet.is_keyframe
-    delay = round(frames / FRAME_RATE / packet.time_base)
-    again.pts, again.dts, again.duration = packet.pts + delay, packet.dts + delay, packet.duration
-    return again
