@@ -24,16 +24,18 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import sylpose
 from sylpose import calibration
 from sylpose.app import check as checks
-from sylpose.app import choices, demo
+from sylpose.app import demo
 from sylpose.app.run import track_session
 from sylpose.app.text import length
 from sylpose.capture import FrameSet, Session, open_session
+from sylpose.choices import FEATURES, METHODS
 from sylpose.cli import main
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.report.rigview import meeting_point
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import camera_at
-from sylpose.tracking import FEATURES, METHODS, TrackedFrame, Tracker
+from sylpose.solvers import SOLVERS
+from sylpose.tracking import TrackedFrame, Tracker
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 OUTPUTS = {"trajectory.tum", "trajectory.csv", "report.png", "overlay.mp4"}
@@ -684,9 +686,8 @@ def test_help_and_version(run: Command) -> None:
         assert result.code == 0
         assert "Examples:" in result.out
         assert run(*command, "--help").out == result.out
-    assert all(name in run("track", "-h").out for name in (*METHODS, *choices.FEATURES))
-    assert choices.METHODS == METHODS
-    assert set(choices.FEATURES) == {"auto", *FEATURES}
+    assert all(name in run("track", "-h").out for name in (*METHODS, *FEATURES))
+    assert tuple(SOLVERS) == METHODS
     assert run("trakc").code == 2
 
 

@@ -14,8 +14,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import simulate
 from sylpose.features import Matches
+from sylpose.fit import covariance_of
 from sylpose.moments import PairMoments
-from sylpose.motion import covariance_of, estimate_motion, estimate_motions
+from sylpose.motion import estimate_motion, estimate_motions
 from sylpose.results import Motion, Status
 from sylpose.rig import Camera, Rig
 from sylpose.sylvester import solve_centralized

@@ -1,4 +1,4 @@
-"""The command line: `sylpose track`, `check`, `sync`, `demo` and `calibration convert`."""
+"""The command line: `sylpose track`, `check`, `sync`, `view`, `demo`, `experiments` and `calibration convert`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ParamSpec
 import typer
 
 from sylpose import __version__
-from sylpose.app.choices import FEATURES, METHODS
+from sylpose.choices import FEATURES, METHODS
 
 if TYPE_CHECKING:
     from sylpose.app.run import Run
@@ -403,6 +403,82 @@ def demo(
     if result.missing or result.rotation.max() > MAX_ERROR_DEG:
         _say(f"the demo did not come out right: {result.missing} frames missing, errors above")
         raise typer.Exit(FAILED)
+
+
+@app.command(
+    short_help="A trajectory as a camera sees it, also a virtual one.",
+    epilog=examples(
+        "sylpose view recording/sylpose cam_2",
+        "sylpose view results top --calibration virtual.toml",
+        "sylpose view results top --from 0 -2 0 --at 0 0 0",
+    ),
+)
+@spoken
+def view(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote, or its trajectory.csv.")
+    ],
+    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A camera's name; with --from, a name for the view.")],
+    calibration: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Where CAMERA is looked up; by default beside RESULT, in its session."),
+    ] = None,
+    eye: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option("--from", metavar="X Y Z", help="A virtual camera: where it stands, in the world."),
+    ] = None,
+    at: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option("--at", metavar="X Y Z", help="What it looks at; where the object was first by default."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the view goes; RESULT by default.")] = None,
+) -> None:
+    """A finished trajectory in the axes of a camera: one of the rig, one that saw nothing, or a virtual one.
+
+    Writes view_CAMERA.tum (camera_from_object), view_CAMERA.csv and view_CAMERA.png.
+    """
+    from sylpose.app import text
+    from sylpose.app.view import calibration_of, looked_up, read_result, standing, write_view
+
+    trajectory = read_result(result)
+    if eye is not None:
+        if calibration is not None:
+            raise ValueError("--from places a camera, --calibration looks one up: give one of them")
+        viewpoint = standing(camera, eye, at, trajectory)
+    elif at is not None:
+        raise ValueError("--at needs --from X Y Z: where the camera stands")
+    else:
+        viewpoint = looked_up(camera, calibration_of(result, calibration))
+    folder = out if out is not None else result if result.is_dir() else result.parent
+    text.print_files(text.make_console(), "Files", write_view(trajectory, camera, viewpoint, folder))
+
+
+@app.command(
+    short_help="The paper's experiments: tables and figures.",
+    epilog=examples("sylpose experiments", "sylpose experiments --only noise --only cameras --out noise --quick"),
+)
+@spoken
+def experiments(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where tables and figures go.")] = Path(
+        "sylpose_experiments"
+    ),
+    only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="STUDY", help="Only this one; may be given several times. A wrong name lists them."),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few trials: half a minute instead of five.")] = False,
+    seed: Seed = 0,
+) -> None:
+    """Simulated studies of the paper's estimators: how exact they are, what they withstand, how long they take.
+
+    Writes paper_STUDY.csv and paper_STUDY.png for each study and paper_index.md into OUT, and leaves other files there
+    alone.
+    """
+    from sylpose.app import text
+    from sylpose.app.experiments import chosen, run_studies
+
+    files = run_studies(chosen(only or []), out, seed=seed, quick=quick)
+    text.print_files(text.make_console(), "Files", files)
 
 
 @calibration_app.command(epilog=examples("sylpose calibration convert camera_array.toml calibration.yml"))

@@ -16,7 +16,7 @@ from sylpose.reweight import CUTOFF
 from sylpose.robust_fit import robust_fit
 from sylpose.terms import SURFACE, Stack, TermData, stack_terms
 
-__all__ = ["MIN_MATCHES", "Fit", "fit_terms", "forget", "no_fit", "warm_up"]
+__all__ = ["MIN_MATCHES", "Fit", "covariance_of", "fit_terms", "forget", "no_fit", "warm_up"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -53,6 +53,7 @@ class Fit:
         information_without_depth: (6, 6) the same when nothing is believed of its surfaces, neither how far away they are
             nor how curved.
         iterations: of the solver, all rounds.
+        faults: a sentence for each camera that is recognised to be at fault.
     """
 
     status: Status
@@ -63,6 +64,7 @@ class Fit:
     information: FloatArray
     information_without_depth: FloatArray
     iterations: int
+    faults: tuple[str, ...] = ()
 
     def with_matches(self, weights: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> Fit:
         """The same fit, spoken of as one of other terms."""
@@ -334,3 +336,20 @@ def warm_up() -> None:
     x = np.random.default_rng(0).uniform(-0.1, 0.1, (12, 2))
     data = [TermData(k, x, x + 0.01 * k, np.eye(3), np.array([k - 0.5, 0.0, -1.0]), 1000.0) for k in range(2)]
     fit_terms(data, np.zeros(3), 0.1, [], np.random.default_rng(0))
+
+
+def covariance_of(information: FloatArray) -> FloatArray:
+    """The inverse (n, n), with infinite variance in directions that the information knows nothing of.
+
+    Turns and displacements have different units, so it is scaled to a unit diagonal before its rank is
+    judged. Infinite variances stand on the diagonal; the covariances of such directions are 0.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    known = values > 1e-10 * max(float(values[-1]), 1e-300)
+    spread = vectors[:, known] * scale[:, None]
+    covariance = (spread / values[known]) @ spread.T
+    unknown = (np.abs(vectors[:, ~known]) > 1e-3).any(axis=1)
+    covariance[unknown] = covariance[:, unknown] = 0.0
+    covariance[unknown, unknown] = np.inf
+    return np.asarray(covariance)

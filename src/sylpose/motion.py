@@ -10,29 +10,25 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.choices import MOTION_METHODS as METHODS
 from sylpose.compiled import rotvec_of
 from sylpose.features import Matches
-from sylpose.fit import MIN_MATCHES, Fit, fit_terms, forget, no_fit
-from sylpose.moments import PairMoments
+from sylpose.fit import MIN_MATCHES, Fit, covariance_of, fit_terms, forget, no_fit
+from sylpose.paper import ESTIMATORS, faults_of, paper_fit
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig
-from sylpose.sylvester import solve_centralized, translation_from_means
 from sylpose.terms import TermData, object_place
 
 __all__ = [
     "METHODS",
-    "covariance_of",
     "estimate_motion",
     "estimate_motions",
     "motion_about",
     "observed",
-    "sylvester_fit",
     "unseen",
 ]
 
 FloatArray = NDArray[np.float64]
-
-METHODS = ("epipolar", "sylvester")
 
 # A direction is "not observable" when its standard deviation exceeds this share of the motion itself.
 UNOBSERVABLE_SHARE = 0.5
@@ -55,8 +51,10 @@ def estimate_motion(
     Args:
         rig: C cameras.
         matches: C sets of matches, in the rig's order; `Matches.none()` for a camera that sees nothing.
-        method: "epipolar" (perspective, six degrees of freedom, robust: docs/method.md, "Two frames") or
-            "sylvester" (Chen & Schonfeld's centralised estimator: weak perspective, from second moments).
+        method: "epipolar" (perspective, six degrees of freedom, robust: docs/method.md, "Two frames") or one of the paper's
+            estimators, from the pair moments of its inliers: "sylvester" (centralised), "depth-plane" (with a plane for
+            the depth), "exchange", "refine", "gossip" (distributed), "one-camera" and "unconstrained" (of the camera that
+            has the most matches).
         initial: a guess of the motion (while tracking, the last one), tried besides the built-in starts.
         center: (3,) where the object's centre is in frame i, world; None: the point nearest to the cameras' mean rays.
         radius: of the object, length units, about right (twice the median distance of its points from the centre); None:
@@ -71,7 +69,7 @@ def estimate_motion(
         ValueError: as many matches as cameras are needed; an unknown method; a center that is not finite or behind a camera
             that has matches; a radius that is not positive.
 
-    Source: Chen & Schonfeld 2010 for "sylvester"; docs/method.md for the rest.
+    Source: Chen & Schonfeld 2010 for the paper's estimators; docs/method.md for the rest.
     """
     if len(matches) != len(rig):
         raise ValueError(
@@ -97,8 +95,10 @@ def estimate_motion(
     guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
     size = found_radius if radius is None else radius
     fit = fit_terms(data, g, size, guess, np.random.default_rng(seed))
-    if method == "sylvester" and fit.status is Status.OK:
-        fit = sylvester_fit(data, fit, g)
+    if fit.status.has_pose:
+        fit = replace(fit, faults=faults_of(data, fit, rig.names))
+    if method in ESTIMATORS and fit.status is Status.OK:
+        fit = paper_fit(method, data, fit, g, rig.names)
     return _motion(rig, matches, data, fit, g, method, size)
 
 
@@ -131,38 +131,6 @@ def estimate_motions(
         return list(pool.map(one, pairs))
 
 
-def sylvester_fit(data: Sequence[TermData], robust: Fit, center: FloatArray) -> Fit:
-    """The paper's estimate in place of a robust fit's motion: it has no outlier rejection of its own.
-
-    The rotation is the centralised solution of the generalised Sylvester's equation, from the second moments of the
-    inliers; the displacement follows from their means. Where the equation has several solutions (one camera: always two,
-    mirrored) the best is taken, as the paper does.
-
-    Source: Chen & Schonfeld 2010; docs/method.md, "The paper".
-    """
-    used = [(term, w) for term, w in zip(data, robust.weights, strict=True) if (w > 0).sum() >= 3]
-    moments = [PairMoments.from_matches(term.x, term.y, w) for term, w in used]
-    rotations = np.array([term.rotation for term, _ in used])
-    centers = np.array([term.center for term, _ in used])
-    try:
-        solution = solve_centralized(rotations, moments)
-        shift, of_shift = translation_from_means(rotations, centers, moments, solution.rotation, center)
-    except ValueError:
-        # No spread in any camera, or an object behind one: nothing to estimate a turn from.
-        return replace(robust, status=Status.TURN_NOT_OBSERVABLE)
-    information = np.zeros((6, 6))
-    information[:3, :3], information[3:, 3:] = solution.information, of_shift
-    return replace(
-        robust,
-        status=Status.OK if solution.converged else Status.NOT_CONVERGED,
-        rotation=solution.rotation,
-        shift=shift,
-        information=information,
-        information_without_depth=information,
-        iterations=robust.iterations + solution.iterations,
-    )
-
-
 def observed(fit: Fit, radius: float) -> Fit:
     """The fit with its status set to what its information shows: all of it seen, or the scale, or a turn not."""
     return _judged(fit, radius)[0]
@@ -170,7 +138,7 @@ def observed(fit: Fit, radius: float) -> Fit:
 
 def _judged(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
     """`observed`, and the directions (k, 6) that its status is about."""
-    if fit.status is not Status.OK:
+    if fit.status not in (Status.OK, Status.NOT_CERTIFIED):
         return fit, np.empty((0, 6))
     directions = unseen(fit, radius)
     if len(directions) == 0:
@@ -206,23 +174,6 @@ def motion_about(center: FloatArray, fit: Fit) -> RigidTransform:
     return RigidTransform.from_components(center + fit.shift - fit.rotation @ center, rotation)
 
 
-def covariance_of(information: FloatArray) -> FloatArray:
-    """The inverse (6, 6), with infinite variance in directions that the information knows nothing of.
-
-    The two blocks of an information matrix have different units, so it is scaled to a unit diagonal before its rank is
-    judged. Infinite variances stand on the diagonal; the covariances of such directions are 0.
-    """
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    known = values > 1e-10 * max(float(values[-1]), 1e-300)
-    spread = vectors[:, known] * scale[:, None]
-    covariance = (spread / values[known]) @ spread.T
-    unknown = (np.abs(vectors[:, ~known]) > 1e-3).any(axis=1)
-    covariance[unknown] = covariance[:, unknown] = 0.0
-    covariance[unknown, unknown] = np.inf
-    return np.asarray(covariance)
-
-
 def _motion(
     rig: Rig,
     matches: Sequence[Matches],
@@ -256,6 +207,7 @@ def _motion(
         residuals=residuals,
         method=method,
         iterations=fit.iterations,
+        faults=fit.faults,
     )
 
 

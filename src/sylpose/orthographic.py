@@ -18,9 +18,19 @@ from numpy.typing import ArrayLike, NDArray
 from sylpose.equation import transpose
 from sylpose.moments import PairMoments
 
-__all__ = ["Quadratic", "Views", "checked_rotations", "quadratic_of", "views_of"]
+__all__ = [
+    "Quadratic",
+    "Quadratics",
+    "Views",
+    "checked_rotations",
+    "quadratic_of",
+    "quadratics_of",
+    "turn_to",
+    "views_of",
+]
 
 FloatArray = NDArray[np.float64]
+_Parts = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 class Views(NamedTuple):
@@ -74,6 +84,16 @@ class Quadratic(NamedTuple):
         return max(self.cost(rotation), 1e-12 * max(self.constant, 1.0)) * self.scale / self.weight
 
 
+class Quadratics(NamedTuple):
+    """N of them: H (N, 9, 9), h (N, 9), and constant, scale, weight (N,)."""
+
+    H: FloatArray
+    h: FloatArray
+    constant: FloatArray
+    scale: FloatArray
+    weight: FloatArray
+
+
 def views_of(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool = True) -> Views:
     """The views of C cameras.
 
@@ -87,51 +107,53 @@ def views_of(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool 
         ValueError: shapes that do not fit, matrices that are no rotations.
     """
     Q = checked_rotations(rotations, len(moments))
-    # The moments are centred here, all at once, for the sake of thousands of cameras.
     M = np.array([m.matrix for m in moments])
-    count = M[:, 8, 8]
-    per_count = 1 / np.where(count > 0, count, 1)[:, None]
-    Ex, Ey = M[:, 8, 6:8] * per_count, M[:, 8, [2, 5]] * per_count
-    n = count[:, None, None]
-    Sxx = M[:, 6:8, 6:8] - n * Ex[:, :, None] * Ex[:, None, :]
-    Syx = M[:, [2, 5], 6:8] - n * Ey[:, :, None] * Ex[:, None, :]
-    Syy = M[:, [[2], [5]], [2, 5]] - n * Ey[:, :, None] * Ey[:, None, :]
-    total = float(np.trace(M, axis1=1, axis2=2).sum())
-    if not aim:
-        return Views(Q, Q, Sxx, Syx, Syy, count, total)
-    # Turned by T onto a mean ray, δ away from it in the image, a point is P T Q X / Z at exactly (P T P') δ.
-    Tx, Ty = _turn_to(Ex), _turn_to(Ey)
-    Jx, Jy = Tx[:, :2, :2], Ty[:, :2, :2]
-    return Views(
-        Tx @ Q,
-        Ty @ Q,
-        Jx @ Sxx @ transpose(Jx),
-        Jy @ Syx @ transpose(Jx),
-        Jy @ Syy @ transpose(Jy),
-        count,
-        total,
-    )
+    return Views(*_second_moments(Q, M, aim), float(np.trace(M, axis1=1, axis2=2).sum()))
 
 
-def quadratic_of(views: Views) -> Quadratic:
+def quadratic_of(views: Views, *, symmetric: bool = False) -> Quadratic:
     """The least squares over all cameras, depth ignored: H = Σ A_c ⊗ B_c, h = vec(Σ C_c) over `scale`, where
 
         A_c = Q'P'PQ,   B_c = Q'P' S_xx P Q,   C_c = Q'P' S_yx P Q,   P = [1 0 0; 0 1 0].
 
+    Args:
+        symmetric: the mean of this and of the least squares of x = N'y + noise, so that exchanging the frames gives the
+            inverse rotation: two Sylvester terms per camera, A_c ⊗ B_c / 2 and Q'P' S_yy P Q ⊗ A_c / 2, and the same C_c.
+            See `sylpose.sylvester.solve_centralized`.
+
     Raises:
         ValueError: no camera has matches with any spread.
     """
-    PQx, PQy = views.rotation_x[:, :2], views.rotation_y[:, :2]
-    A, B = transpose(PQy) @ PQy, transpose(PQx) @ views.s_xx @ PQx
-    h = (transpose(PQy) @ views.s_yx @ PQx).sum(axis=0).ravel()
-    # Σ A_c ⊗ B_c as one matrix product.
-    H = (A.reshape(-1, 9).T @ B.reshape(-1, 9)).reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
-    scale = float(np.trace(H)) / 9
-    # What centring leaves by rounding is no spread.
-    if not scale > 1e-14 * views.total:
-        raise ValueError("no camera has matches that are spread over its image: there is nothing to turn")
-    constant = float(np.trace(views.s_yy, axis1=1, axis2=2).sum()) / 2
-    return Quadratic((H + H.T) / (2 * scale), h / scale, constant / scale, scale, float(views.weights.sum()))
+    H, h, constant = _normal_equations(*views[:5], symmetric)
+    H, h, constant, scale = _scaled(H[None], h[None], constant[None], np.array([views.total]))
+    return Quadratic(H[0], h[0], float(constant[0]), float(scale[0]), float(views.weights.sum()))
+
+
+def quadratics_of(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True, symmetric: bool = False) -> Quadratics:
+    """`quadratic_of` the `views_of` N problems of C cameras each; each problem's numbers depend on that problem alone.
+
+    Args:
+        rotations: (N, C, 3, 3), or (C, 3, 3) where all problems have the same cameras.
+        moments: (N, C, 9, 9) matrices of pair moments.
+
+    Raises:
+        ValueError: shapes that do not fit, matrices that are no rotations, moments that are not finite or not symmetric,
+            a problem in which no camera has matches with any spread.
+    """
+    M, Q = np.asarray(moments, dtype=float), np.asarray(rotations, dtype=float)
+    if M.ndim != 4 or M.shape[2:] != (9, 9) or not np.isfinite(M).all():
+        raise ValueError(f"moments must be finite (N, C, 9, 9), got shape {M.shape}")
+    if np.abs(M - transpose(M)).max(initial=0.0) > 1e-12 + 2e-9 * np.abs(M).max(initial=0.0):  # as PairMoments at most
+        raise ValueError("moments must be symmetric")
+    n, c = M.shape[:2]
+    if Q.ndim == 4 and Q.shape[:2] == (n, c):
+        Q = checked_rotations(Q.reshape(-1, *Q.shape[2:]), n * c).reshape(n, c, 3, 3)
+    else:
+        Q = checked_rotations(Q, c)
+    parts = _second_moments(Q, M, aim)
+    H, h, constant = _normal_equations(*parts[:5], symmetric)
+    H, h, constant, scale = _scaled(H, h, constant, np.trace(M, axis1=2, axis2=3).sum(axis=1))
+    return Quadratics(H, h, constant, scale, parts[5].sum(axis=1))
 
 
 def checked_rotations(rotations: ArrayLike, n: int) -> FloatArray:
@@ -146,12 +168,70 @@ def checked_rotations(rotations: ArrayLike, n: int) -> FloatArray:
     return out
 
 
-def _turn_to(x: FloatArray) -> FloatArray:
-    """(C, 2) normalised points -> (C, 3, 3) the least rotations that take their rays to the z axis."""
-    u = np.column_stack([x, np.ones(len(x))])
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    T = np.empty((len(x), 3, 3))
-    T[:, :2, :2] = np.eye(2) - u[:, :2, None] * u[:, None, :2] / (1 + u[:, 2, None, None])
-    T[:, :2, 2] = -u[:, :2]
-    T[:, 2] = u
+# The moments are centred and summed here, all cameras at once, for the sake of thousands of them. Axes before the
+# cameras' are problems.
+
+
+def _second_moments(Q: FloatArray, M: FloatArray, aim: bool) -> _Parts:
+    """Rotations (..., C, 3, 3) and matrices (..., C, 9, 9) of pair moments -> the arrays of `Views`."""
+    count = M[..., 8, 8]
+    per_count = 1 / np.where(count > 0, count, 1)[..., None]
+    Ex, Ey = M[..., 8, 6:8] * per_count, M[..., 8, 2:6:3] * per_count
+    n = count[..., None, None]
+    Sxx = M[..., 6:8, 6:8] - n * Ex[..., :, None] * Ex[..., None, :]
+    Syx = M[..., 2:6:3, 6:8] - n * Ey[..., :, None] * Ex[..., None, :]
+    Syy = M[..., 2:6:3, 2:6:3] - n * Ey[..., :, None] * Ey[..., None, :]
+    if not aim:
+        Q = np.array(np.broadcast_to(Q, (*count.shape, 3, 3)))
+        return Q, Q, Sxx, Syx, Syy, count
+    # Turned by T onto a mean ray, δ away from it in the image, a point is P T Q X / Z at exactly (P T P') δ.
+    Tx, Ty = turn_to(Ex), turn_to(Ey)
+    Jx, Jy = Tx[..., :2, :2], Ty[..., :2, :2]
+    return Tx @ Q, Ty @ Q, Jx @ Sxx @ transpose(Jx), Jy @ Syx @ transpose(Jx), Jy @ Syy @ transpose(Jy), count
+
+
+def _normal_equations(
+    Qx: FloatArray, Qy: FloatArray, Sxx: FloatArray, Syx: FloatArray, Syy: FloatArray, symmetric: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Summed over the cameras: H (..., 9, 9), h (..., 9), half the sum of squares of what is to be explained (...)."""
+    PQx, PQy = Qx[..., :2, :], Qy[..., :2, :]
+    A, B = transpose(PQy) @ PQy, transpose(PQx) @ Sxx @ PQx
+    h = (transpose(PQy) @ Syx @ PQx).sum(axis=-3)
+    constant = _trace_sum(Syy) / 2
+    if symmetric:
+        A = np.concatenate([A / 2, transpose(PQy) @ Syy @ PQy / 2], axis=-3)
+        B = np.concatenate([B, transpose(PQx) @ PQx], axis=-3)
+        constant = (constant + _trace_sum(Sxx) / 2) / 2
+    shape = h.shape[:-2]
+    # Σ A_c ⊗ B_c as one matrix product.
+    H = transpose(A.reshape(*A.shape[:-2], 9)) @ B.reshape(*B.shape[:-2], 9)
+    H = np.swapaxes(H.reshape(*shape, 3, 3, 3, 3), -2, -3).reshape(*shape, 9, 9)
+    return H, h.reshape(*shape, 9), constant
+
+
+def _scaled(
+    H: FloatArray, h: FloatArray, constant: FloatArray, total: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """N problems' H, h and constant over their scale; and the scale (N,)."""
+    scale = np.trace(H, axis1=1, axis2=2) / 9
+    # What centring leaves by rounding is no spread.
+    flat = ~(scale > 1e-14 * total)
+    if flat.any():
+        which = f"problem {int(np.argmax(flat))}: " if len(H) > 1 else ""
+        raise ValueError(f"{which}no camera has matches that are spread over its image: there is nothing to turn")
+    return (H + transpose(H)) / (2 * scale[:, None, None]), h / scale[:, None], constant / scale, scale
+
+
+def _trace_sum(S: FloatArray) -> FloatArray:
+    return np.asarray(np.trace(S, axis1=-2, axis2=-1).sum(axis=-1))
+
+
+def turn_to(x: FloatArray) -> FloatArray:
+    """(..., 2) normalised points -> (..., 3, 3) the least rotations that take their rays to the z axis."""
+    u = np.concatenate([x, np.ones((*x.shape[:-1], 1))], axis=-1)
+    u /= np.sqrt((u * u).sum(axis=-1, keepdims=True))
+    T = np.empty((*u.shape, 3))
+    T[..., :2, :2] = np.eye(2) - u[..., :2, None] * u[..., None, :2] / (1 + u[..., 2, None, None])
+    T[..., :2, 2] = -u[..., :2]
+    T[..., 2, :] = u
     return T

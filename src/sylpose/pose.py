@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.motion import covariance_of
+from sylpose.fit import covariance_of
 from sylpose.pose_kernels import CUTOFF, SATURATION, Noise, Views, fit, information, minimize, score, search, squares_of
 from sylpose.results import Motion, Status
 from sylpose.rig import Camera, Rig

@@ -45,7 +45,7 @@ class Status(Enum):
 
 
 _TEXTS = {
-    Status.OK: "All six degrees of freedom were found.",
+    Status.OK: "Everything that was asked for was found.",
     Status.FIRST: "The first frame with the object: the pose that all others are relative to.",
     Status.TRACKED: "The object was followed from the frame before.",
     Status.RELOCALISED: "The object was found again, by what was learnt of it before.",
@@ -90,6 +90,7 @@ class Motion:
         residuals: (C,) per camera the rms epipolar residual of its inliers, pixels; NaN without inliers.
         method: the estimator that was used.
         iterations: of the solver.
+        faults: a sentence for each camera that is recognised to be at fault: its calibration, its matches or its image.
     """
 
     status: Status
@@ -102,6 +103,7 @@ class Motion:
     residuals: FloatArray
     method: str
     iterations: int
+    faults: tuple[str, ...] = ()
 
     @property
     def n_inliers(self) -> NDArray[np.int64]:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from sylpose.align_kernels import CUTOFF
 from sylpose.alignment import Aligned, Sights, align
 from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit
+from sylpose.known_depth import solve_2d3d
 from sylpose.landmarks import Landmarks
-from sylpose.motion import sylvester_fit
+from sylpose.orthographic import turn_to
+from sylpose.paper import ESTIMATORS, paper_fit
 from sylpose.reference import Pair, Reference, still
 from sylpose.results import Status
 from sylpose.rig import Rig
@@ -49,7 +53,8 @@ def solve_epipolar(
     return fit_terms(data, base.world_from_object.translation, radius, [guess], rng)
 
 
-def solve_sylvester(
+def solve_paper(
+    method: str,
     rig: Rig,
     pairs: Sequence[Pair],
     _current: Reference,
@@ -58,13 +63,13 @@ def solve_sylvester(
     guess: Hypothesis,
     rng: np.random.Generator,
 ) -> Fit:
-    """The paper's estimator, against the last solved frame alone; the other references are left out."""
+    """One of the paper's estimators, against the last solved frame alone; the other references are left out."""
     center = base.world_from_object.translation
     data = [pair.term(rig, base) for pair in pairs]
     near = [i for i, pair in enumerate(pairs) if pair.reference is base]
     fit = fit_terms([data[i] for i in near], center, radius, [guess], rng)
     if fit.status is Status.OK:
-        fit = sylvester_fit([data[i] for i in near], fit, center)
+        fit = paper_fit(method, [data[i] for i in near], fit, center, rig.names)
     none = no_fit(data, fit.status)
     weights, residuals = list(none.weights), list(none.residuals)
     for i, w, r in zip(near, fit.weights, fit.residuals, strict=True):
@@ -99,6 +104,54 @@ def solve_landmarks(
     if fit.status.has_pose and _by_chance(sights, aligned, current):
         return no_fit(data, Status.NOT_CONSISTENT)
     return fit
+
+
+def solve_known_depth(
+    rig: Rig,
+    pairs: Sequence[Pair],
+    current: Reference,
+    base: Reference,
+    radius: float,
+    guess: Hypothesis,
+    rng: np.random.Generator,
+) -> Fit:
+    """Sylvester's equation for points known in 3D (2D-3D), of the landmarks that `solve_landmarks` finds to agree, in weak
+    perspective: all of the object is taken to be as far away as its centre was."""
+    fit = solve_landmarks(rig, pairs, current, base, radius, guess, rng)
+    if fit.status is not Status.OK:
+        return fit
+    rotations, centers, points, images, weights = [], [], [], [], []
+    for c in range(len(rig)):
+        w = np.concatenate([np.empty(0), *(w for pair, w in zip(pairs, fit.weights, strict=True) if pair.camera == c)])
+        sights, _ = _sights(rig, pairs, current, base, c)
+        towards = -(sights.rotation @ sights.center)
+        if not (w > 0).any() or towards[2] <= 0:
+            continue
+        # Perspective is orthographic to first order about the ray to the object only.
+        turn = turn_to(towards[None, :2] / towards[2])[0]
+        rays = np.column_stack([sights.image, np.ones(len(w))]) @ turn.T
+        rotations.append(turn @ sights.rotation)
+        centers.append(sights.center)
+        points.append(sights.points)
+        images.append(np.linalg.norm(towards) * rays[:, :2] / rays[:, 2:])
+        weights.append(w)
+    if not rotations:
+        return no_fit([pair.term(rig, base) for pair in pairs], Status.TOO_FEW_MATCHES)
+    s = solve_2d3d(np.array(rotations), points, images, centers=np.array(centers), weights=weights)
+    # From the displacement of the points' mean to that of the object's centre, here the origin.
+    about = np.eye(6)
+    about[3:, :3] = -np.cross(np.eye(3), s.rotation @ s.center).T
+    information = about.T @ block_diag(s.information, s.displacement_information) @ about
+    return replace(
+        fit,
+        # What of the turn is not seen, the information shows (`motion.observed`).
+        status=Status.OK if s.status is Status.TURN_NOT_OBSERVABLE else s.status,
+        rotation=s.rotation,
+        shift=s.translation,
+        information=information,
+        information_without_depth=information,
+        iterations=fit.iterations + s.iterations,
+    )
 
 
 def _by_chance(sights: Sequence[Sights], aligned: Aligned, current: Reference) -> bool:
@@ -228,5 +281,6 @@ def best_landmarks(pairs: Sequence[Pair], camera: int) -> tuple[NDArray[np.int64
 SOLVERS: dict[str, Solver] = {
     "landmarks": solve_landmarks,
     "epipolar": solve_epipolar,
-    "sylvester": solve_sylvester,
+    **{method: partial(solve_paper, method) for method in ESTIMATORS},
+    "known-depth": solve_known_depth,
 }

@@ -19,23 +19,30 @@ and Image Understanding 114 (2010); the derivation is ours.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sylpose.moments import PairMoments
-from sylpose.orthographic import checked_rotations, quadratic_of, views_of
-from sylpose.so3 import STATIONARY, cost_of, derivatives, minimize, multiplier_of
+from sylpose.orthographic import checked_rotations, quadratic_of, quadratics_of, views_of
+from sylpose.results import Status
+from sylpose.so3 import FLAT, STATIONARY, cost_of, derivatives, minimize_batch, multiplier_of
 
 __all__ = [
+    "CentralizedBatch",
     "CentralizedSolution",
     "solve_centralized",
+    "solve_centralized_batch",
     "translation_from_means",
 ]
 
 FloatArray = NDArray[np.float64]
+
+
+# A turn about an axis is not seen if its standard deviation (radians) exceeds this.
+UNSEEN_TURN = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,36 +80,119 @@ class CentralizedSolution:
         """The cost at `rotation`."""
         return float(self.costs[0])
 
+    @property
+    def status(self) -> Status:
+        """The first of these that holds: NOT_CONVERGED; TURN_NOT_OBSERVABLE where the standard deviation of the turn about
+        some axis exceeds `UNSEEN_TURN`, or the cost is as good as flat along it (information below a millionth of that
+        about the best seen axis); NOT_CERTIFIED; OK.
+        """
+        if not self.converged:
+            return Status.NOT_CONVERGED
+        values = np.linalg.eigvalsh(self.information)
+        if values[0] < max(1 / UNSEEN_TURN**2, FLAT * values[2]):
+            return Status.TURN_NOT_OBSERVABLE
+        return Status.OK if self.certified else Status.NOT_CERTIFIED
 
-def solve_centralized(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool = True) -> CentralizedSolution:
+
+@dataclass(frozen=True, eq=False)
+class CentralizedBatch:
+    """N problems' solutions in arrays: a sequence of `CentralizedSolution`, whose attributes these are.
+
+    Attributes:
+        candidates: (N, k, 3, 3), NaN from each problem's count on.
+        counts: (N,) of candidates.
+        costs: (N, k), NaN likewise.
+        certified, converged: (N,).
+        multiplier, information: (N, 3, 3).
+        iterations: (N,).
+    """
+
+    candidates: FloatArray
+    counts: NDArray[np.int64]
+    costs: FloatArray
+    certified: NDArray[np.bool_]
+    converged: NDArray[np.bool_]
+    multiplier: FloatArray
+    information: FloatArray
+    iterations: NDArray[np.int64]
+
+    @property
+    def rotations(self) -> FloatArray:
+        """(N, 3, 3) the best of each."""
+        return self.candidates[:, 0]
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    def __iter__(self) -> Iterator[CentralizedSolution]:
+        return (self[n] for n in range(len(self)))
+
+    def __getitem__(self, n: int) -> CentralizedSolution:
+        k = self.counts[n]
+        return CentralizedSolution(
+            candidates=self.candidates[n, :k],
+            costs=self.costs[n, :k],
+            certified=bool(self.certified[n]),
+            converged=bool(self.converged[n]),
+            multiplier=self.multiplier[n],
+            information=self.information[n],
+            iterations=int(self.iterations[n]),
+        )
+
+
+def solve_centralized(
+    rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool = True, symmetric: bool = False
+) -> CentralizedSolution:
     """The object's rotation between two frames from the second moments of all cameras' matches.
 
     Views are orthographic, of one scale per camera: depth that changes between the frames is not modelled. Cameras
     weigh by the spread of their points in normalised units; a camera without matches adds nothing. Exact for noise-free
-    orthographic data in which every camera's points have depths uncorrelated with their images, if three viewing
-    directions are linearly independent and each camera's points are not collinear.
+    orthographic data in which every camera's points have depths uncorrelated with their images in frame i, if three
+    viewing directions are linearly independent and each camera's points are not collinear.
 
     Args:
         rotations: (C, 3, 3) Q of camera_from_world.
         moments: C pair moments.
         aim: turn each camera, in each frame, onto the mean ray of its matches first: perspective images are orthographic
             to first order only about that ray. False for points that are orthographic, whose mean is no direction.
+        symmetric: fit frame j from frame i and frame i from frame j at once, so that exchanging the frames gives the
+            inverse rotation. The condition for exactness is then stricter: depths uncorrelated with the images in both
+            frames, as of points spread equally in all directions.
 
     Raises:
         ValueError: shapes that do not fit, matrices that are no rotations, matches without any spread.
     """
-    q = quadratic_of(views_of(rotations, moments, aim=aim))
-    candidates, certified, iterations = minimize(q.H, q.h)
-    rotation = candidates[0]
-    gradient, hessian = derivatives(q.H, q.h, rotation)
-    return CentralizedSolution(
-        candidates=candidates,
-        costs=cost_of(q.H, q.h, candidates) + q.constant,
-        certified=certified,
-        converged=bool(np.abs(gradient).max() < STATIONARY),
-        multiplier=multiplier_of(q.H, q.h, rotation),
-        information=hessian * q.scale / q.variance(rotation),
-        iterations=iterations,
+    matrices = np.array([m.matrix for m in moments]).reshape(1, len(moments), 9, 9)
+    return solve_centralized_batch(rotations, matrices, aim=aim, symmetric=symmetric)[0]
+
+
+def solve_centralized_batch(
+    rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True, symmetric: bool = False
+) -> CentralizedBatch:
+    """`solve_centralized` for N problems of C cameras each: the same answers to the bit, whatever the others are.
+
+    Args:
+        rotations: (N, C, 3, 3) Q of camera_from_world, or (C, 3, 3) where all problems have the same cameras.
+        moments: (N, C, 9, 9) matrices of pair moments; zero for a camera without matches.
+
+    Raises:
+        ValueError: as `solve_centralized`; moments that are not finite or not symmetric.
+    """
+    q = quadratics_of(rotations, moments, aim=aim, symmetric=symmetric)
+    found = minimize_batch(q.H, q.h)
+    best = found.candidates[:, 0]
+    gradient, hessian = derivatives(q.H, q.h, best)
+    costs = cost_of(q.H[:, None], q.h[:, None], found.candidates) + q.constant[:, None]
+    variance = np.maximum(costs[:, 0], 1e-12 * np.maximum(q.constant, 1.0)) * q.scale / q.weight
+    return CentralizedBatch(
+        candidates=found.candidates,
+        counts=found.counts,
+        costs=costs,
+        certified=found.certified,
+        converged=np.abs(gradient).max(axis=1) < STATIONARY,
+        multiplier=multiplier_of(q.H, q.h, best),
+        information=hessian * (q.scale / variance)[:, None, None],
+        iterations=found.iterations,
     )
 
 

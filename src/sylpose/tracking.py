@@ -14,10 +14,10 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.capture import Box, FrameSet
 from sylpose.choices import FEATURES, METHODS
 from sylpose.features import MAX_FEATURES, Features, detect, seen_before
-from sylpose.fit import MIN_MATCHES, Fit
+from sylpose.fit import MIN_MATCHES, Fit, covariance_of
 from sylpose.following import ANCHOR_SHARE, Anchor, Followed, begin_anchor, follow, with_new
 from sylpose.keyframes import add_keyframe, references_of, viewpoints
-from sylpose.motion import covariance_of, motion_about, observed
+from sylpose.motion import motion_about, observed
 from sylpose.object_model import ObjectModel
 from sylpose.reference import Pair, Reference, inliers_of, learn_background, match_pair, triangulate
 from sylpose.region import polygon_mask

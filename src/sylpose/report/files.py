@@ -83,6 +83,7 @@ class TrajectoryWriter:
         camera_names: (C,) names for the per-camera columns, in the order of `FramePose.inliers`.
         unit: the calibration's length unit, or "".
         stem: another name for the files.
+        world: what the poses are told in, if not in the world.
         resume: of an earlier writer of the same files: what was written after it is cut off, and the rest goes on.
 
     Raises:
@@ -97,6 +98,7 @@ class TrajectoryWriter:
         unit: str = "",
         *,
         stem: str = "trajectory",
+        world: str = "world",
         resume: WriterState | None = None,
     ) -> None:
         folder = output_folder(out_dir)
@@ -110,7 +112,7 @@ class TrajectoryWriter:
         try:
             self._csv = _open(self.csv_path, None if resume is None else resume.csv_bytes)
             if resume is None:
-                self._put(self._tum, self.tum_path, _tum_header(unit))
+                self._put(self._tum, self.tum_path, _tum_header(unit, world))
                 self._put(self._csv, self.csv_path, _csv_line([*_COLUMNS, *per_camera]))
         except (OSError, ValueError):
             self.close()
@@ -299,8 +301,8 @@ def _continued(quaternion: FloatArray, before: FloatArray | None) -> FloatArray:
     return -quaternion if quaternion @ reference < 0 else quaternion
 
 
-def _tum_header(unit: str) -> str:
-    return f"# time tx ty tz qx qy qz qw : world_from_object, positions in {unit or 'units of the calibration'}\n"
+def _tum_header(unit: str, world: str = "world") -> str:
+    return f"# time tx ty tz qx qy qz qw : {world}_from_object, positions in {unit or 'units of the calibration'}\n"
 
 
 def _tum_line(time: float, position: FloatArray, quaternion: FloatArray) -> str:

@@ -1,0 +1,100 @@
+"""`sylpose view`: a finished trajectory as a camera sees it, a real one or a virtual one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sylpose import calibration
+from sylpose.report.files import TrajectoryWriter, output_folder, read_trajectory
+from sylpose.report.plots import plot_trajectory
+from sylpose.results import Trajectory
+from sylpose.rig import Camera
+from sylpose.simulate.rigs import camera_at
+from sylpose.view import trajectory_view
+
+__all__ = ["calibration_of", "looked_up", "read_result", "standing", "write_view"]
+
+# A view in the camera's axes does not depend on what its image would be like.
+FOCAL, SIZE = 1000.0, (1280, 960)
+
+
+def read_result(path: Path) -> Trajectory:
+    """The trajectory of a run: `trajectory.csv` in the folder that `sylpose track` wrote, or such a file itself.
+
+    Raises:
+        FileNotFoundError: naming what is not there.
+        ValueError: a file that is no trajectory.
+    """
+    file = path / "trajectory.csv" if path.is_dir() else path
+    if not file.is_file():
+        raise FileNotFoundError(
+            f"{file}: no such file; a folder that sylpose track wrote, or its trajectory.csv, is expected"
+        )
+    return read_trajectory(file)
+
+
+def calibration_of(result: Path, given: Path | None) -> Path:
+    """The calibration that a camera's name is looked up in: the given one, or that of the session that the run's folder
+    lies in.
+
+    Raises:
+        ValueError: none was given and there is none, or several.
+    """
+    if given is not None:
+        return given
+    folder = result if result.is_dir() else result.parent
+    for session in (folder.parent, folder.parent.parent):  # of several objects, each has a folder in the run's
+        try:
+            return calibration.find(session)
+        except (ValueError, OSError):
+            continue
+    raise ValueError(f"{result}: no calibration beside it to look the camera up in; say --calibration FILE")
+
+
+def looked_up(name: str, file: Path) -> Camera:
+    """A camera of a calibration.
+
+    Raises:
+        ValueError: a name that it does not have.
+    """
+    rig = calibration.load(file)
+    if name not in rig.names:
+        raise ValueError(f"{file}: no camera {name!r} in it ({', '.join(rig.names)})")
+    return rig[name]
+
+
+def standing(
+    name: str, eye: tuple[float, float, float], at: tuple[float, float, float] | None, trajectory: Trajectory
+) -> Camera:
+    """A virtual camera at a point, upright, that looks at another one: where the object was first, if nothing is said.
+
+    Raises:
+        ValueError: both are one point; a trajectory without poses.
+    """
+    if at is None:
+        seen = [pose.position for pose in trajectory if pose.world_from_object is not None]
+        if not seen:
+            raise ValueError("the trajectory has no poses: nothing to look at")
+        return camera_at(name, eye, seen[0], FOCAL, SIZE)
+    return camera_at(name, eye, at, FOCAL, SIZE)
+
+
+def write_view(trajectory: Trajectory, name: str, camera: Camera, folder: Path) -> list[Path]:
+    """Writes view_NAME.tum, .csv and .png, the trajectory with the camera in the world's place; returns these files.
+
+    A trajectory that was read from its file has standard deviations only: they are turned as if they were independent.
+
+    Raises:
+        ValueError: a name that is no file's.
+        OSError: naming the file or folder that cannot be written.
+    """
+    if not name or any(c in name for c in '/\\:*?"<>|'):
+        raise ValueError(f"{name!r} cannot be part of a file's name")
+    view = trajectory_view(trajectory, camera)
+    stem = f"view_{name}"
+    with TrajectoryWriter(output_folder(folder), view.camera_names, view.unit, stem=stem, world=name) as writer:
+        for pose in view:
+            writer.write(pose)
+    picture = folder / f"view_{name}.png"
+    plot_trajectory(view, picture)
+    return [writer.tum_path, writer.csv_path, picture]

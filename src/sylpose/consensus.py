@@ -1,0 +1,324 @@
+"""One rotation at every camera, by collaboration: one camera's step of the paper's distributed estimator, `refine`.
+
+Each camera starts from its own solution and refines it with the others'. All that it sends is a matrix of the size of a
+rotation, 72 bytes a round: consensus ADMM on Sylvester's equations. A step is a pure function (state, inbox) ->
+(state, packets): nothing is shared, bytes come in and bytes go out, so that it runs the same in one process
+(`sylpose.network`), in many, or on many machines. `sylpose.exchange` and `sylpose.gossip` are schemes of the same kind.
+
+With H_c, h_c of camera c (`orthographic.Quadratic`, not scaled) and its penalty p_c = 0.1 trace(H_c), it sends
+V_c = p_c R_c + Y_c, Y_c its multiplier. From the V of all cameras each one computes
+
+    Z = the rotation nearest to Σ V_c,   (H_c + p_c I) r_c = h_c + vec(2 p_c Z - V_c),   V_c += 1.6 p_c (R_c - Z),
+
+ADMM in the form of Douglas & Rachford, over-relaxed. The middle equation is Sylvester's, A_c R B_c + p_c R = C_c + ...
+As the nearest rotation does not depend on scale, penalties may differ and no camera need know another's. Where nothing
+changes any more, R_c = Z for all c and Σ (C_c - A_c Z B_c) = L Z with L = L', the centralised equation, whatever messages
+were lost or late on the way: a camera uses the last V that it knows of each other one.
+
+While every camera hears every message, each also knows how all V changed in the last rounds and extrapolates them
+(Anderson), all alike: 25 to 35 rounds instead of 50 and, for views near one plane, of a thousand. The first message
+missed ends that for good.
+
+Nonsense is refused: wrong sizes, values that are not finite or far larger than all others', a rotation that never
+settles. A camera that calmly insists on one false rotation is believed, as one with wrong matches is; that is for
+`sylpose.sensors` to find. Nor is the scheme secret: about ten rounds of V are enough to work out H_c and h_c.
+
+Source: C. Chen, D. Schonfeld, "Pose estimation from multiple cameras based on Sylvester's equation" (2010), for the
+scheme; S. Boyd et al., "Distributed optimization and statistical learning via ADMM" (2011), sections 3 and 7;
+D. G. Anderson, "Iterative procedures for nonlinear integral equations" (1965). The rest is ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from sylpose.messages import Inbox, Message, Packet, encode, read
+from sylpose.moments import PairMoments
+from sylpose.orthographic import quadratic_of, views_of
+from sylpose.so3 import FLAT, cost_of, derivatives, minimize
+
+__all__ = ["PATIENCE", "Evidence", "RefineState", "evidence_of", "refine_start", "refine_step"]
+
+FloatArray = NDArray[np.float64]
+
+PENALTY = 0.1  # p_c over trace(H_c)
+RELAXATION = 1.6
+MEMORY = 10  # rounds that the extrapolation looks back
+SETTLED = 1e-10  # relative change of a message that is none
+PATIENCE = 20  # rounds of silence after which a camera is gone
+KICK, KICKS = 0.1, 3  # radians, off a saddle; at most so often
+HUGE = 1e3  # a message this many times the median of all is nonsense
+WANDERING = 0.3  # mean relative change of the messages of a camera that never settles
+
+_UPPER = np.triu_indices(3)
+
+
+class Evidence(NamedTuple):
+    """Half the sum of squared residuals of one camera or more: 1/2 r'Hr - h'r + constant, weight = Σ w. Sums add."""
+
+    H: FloatArray
+    h: FloatArray
+    constant: float
+    weight: float
+
+    def information(self, rotation: FloatArray) -> FloatArray:
+        """(3, 3) of w at a rotation, as in `CentralizedSolution`."""
+        hessian, cost = derivatives(self.H, self.h, rotation)[1], float(cost_of(self.H, self.h, rotation))
+        return _information(hessian, cost + self.constant, self.constant, self.weight)
+
+
+def evidence_of(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> Evidence:
+    """Of one camera, Q (3, 3) of camera_from_world; zero if its matches have no spread.
+
+    Raises:
+        ValueError: a matrix that is no rotation.
+    """
+    views = views_of(np.asarray(rotation, dtype=float)[None], [moments], aim=aim)
+    try:
+        q = quadratic_of(views)
+    except ValueError:
+        return Evidence(np.zeros((9, 9)), np.zeros(9), 0.0, 0.0)
+    return Evidence(q.H * q.scale, q.h * q.scale, q.constant * q.scale, q.weight)
+
+
+def _information(hessian: FloatArray, cost: float, constant: float, weight: float) -> FloatArray:
+    variance = max(cost, 1e-12 * constant) / weight
+    return np.asarray(hessian / variance)
+
+
+class Member(NamedTuple):
+    """What a camera knows of one that takes part, itself included.
+
+    Attributes:
+        V: (3, 3) as it enters the mean.
+        change: relative change by the last message; wander: its mean over the last ten or so.
+        report: Hessian (6), cost, constant and weight of its evidence at its Z, if it has settled.
+        round: of its newest message. heard: messages so far. silent: rounds without one.
+    """
+
+    V: FloatArray
+    change: float
+    wander: float
+    report: FloatArray | None
+    round: int
+    heard: int
+    silent: int
+
+
+@dataclass(frozen=True, eq=False)
+class RefineState:
+    """One camera of `refine`.
+
+    Attributes:
+        evidence, penalty, gain: its H_c, h_c; p_c; p_c (H_c + p_c I)⁻¹, all that is ever factored.
+        sent: its last message.
+        members: the cameras that take part.
+        history: (V, change of V) of the last rounds, all members in order.
+        clean: nobody has missed a message so far.
+        moved: a kick, no step of ADMM, led to `sent`. kicks: how many there were.
+        rotation: (3, 3) Z, the answer so far; None where nobody has evidence.
+        information: (3, 3) as in `CentralizedSolution`, from all reports; None until `converged`.
+        converged: all have settled, at a minimum. lingered: rounds since.
+        refused: camera -> why a message was not read, or why nothing is read of it any more (`blocked`).
+        round: steps made, at most `bound`. done: nothing will be sent any more.
+    """
+
+    camera: int
+    others: tuple[int, ...]
+    evidence: Evidence
+    penalty: float
+    gain: FloatArray
+    bound: int
+    sent: Message
+    members: dict[int, Member] = field(default_factory=dict)
+    history: tuple[tuple[FloatArray, FloatArray], ...] = ()
+    clean: bool = True
+    moved: bool = False
+    kicks: int = 0
+    rotation: FloatArray | None = None
+    information: FloatArray | None = None
+    converged: bool = False
+    lingered: int = 0
+    refused: dict[int, str] = field(default_factory=dict)
+    blocked: frozenset[int] = frozenset()
+    round: int = 0
+    done: bool = False
+
+    @property
+    def used(self) -> tuple[int, ...]:
+        """The cameras that the answer is from."""
+        return tuple(sorted(self.members))
+
+
+def refine_start(
+    camera: int, others: Iterable[int], rotation: ArrayLike, moments: PairMoments, *, aim: bool = True, bound: int = 300
+) -> tuple[RefineState, list[Packet]]:
+    """A camera and its first message: its own solution, or rather the mean of the two mirrored ones that one camera
+    cannot tell apart.
+
+    Args:
+        camera: its number, from 0 on. others: those that it may hear.
+        rotation: (3, 3) Q of its camera_from_world. moments: its own.
+        aim: as in `solve_centralized`.
+        bound: rounds after which it gives up.
+    """
+    e = evidence_of(rotation, moments, aim=aim)
+    penalty = PENALTY * float(np.trace(e.H))
+    gain, V = np.zeros((9, 9)), np.zeros((3, 3))
+    if penalty > 0:
+        gain = np.asarray(penalty * np.linalg.inv(e.H + penalty * np.eye(9)))
+        scale = np.trace(e.H) / 9
+        own = minimize(e.H / scale, e.h / scale)[0][0]
+        views = views_of(np.asarray(rotation, dtype=float)[None], [moments], aim=aim)
+        mirror_x, mirror_y = (q[0].T @ np.diag([1.0, 1, -1]) @ q[0] for q in (views.rotation_x, views.rotation_y))
+        V = penalty * (own + mirror_y @ own @ mirror_x) / 2
+    message = Message(0, True, False, V.ravel())
+    s = RefineState(camera, tuple(c for c in others if c != camera), e, penalty, gain, bound, message)
+    return s, _packets(s)
+
+
+def refine_step(state: RefineState, inbox: Inbox) -> tuple[RefineState, list[Packet]]:
+    """Hear the others, take one step of ADMM, say where one is."""
+    s = _without_strays(_updated(state, inbox))
+    V = s.members[s.camera].V
+    total = np.sum([m.V for m in s.members.values()], axis=0)
+    if not total.any():
+        s = replace(s, rotation=None, converged=False, round=s.round + 1, done=s.round + 1 >= s.bound)
+        s = replace(s, sent=Message(s.round, s.clean, False, V.ravel()))
+        return s, _packets(s)
+    Z = _nearest_rotation(total)
+    R = (s.gain @ (s.evidence.h + (2 * s.penalty * Z - V).ravel())).reshape(3, 3)  # times p
+    V = V + RELAXATION * (R - s.penalty * Z)
+    # A camera that hears nobody waits: the others may only be late.
+    settled = max(m.change for m in s.members.values()) < SETTLED and (len(s.members) > 1 or s.round > PATIENCE)
+    report = _report(s.evidence, Z)
+    reports = [report if c == s.camera else m.report for c, m in s.members.items()]
+    known = [r for r in reports if r is not None]
+    information, moved = None, False
+    if settled and len(known) == len(reports):
+        hessian, cost, constant, weight = _unpacked(np.sum(known, axis=0))
+        curvature, axes = np.linalg.eigh(hessian)
+        if curvature[0] > -FLAT * curvature[2] and weight > 0:
+            information = _information(hessian, cost, constant, weight)
+        elif s.kicks < KICKS:  # a saddle: all go the same way
+            moved = True
+            axis = axes[:, 0] * np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0])
+            V = V + s.penalty * (Rotation.from_rotvec(KICK * axis).as_matrix() @ Z - Z)
+    final = settled and not moved
+    converged = information is not None
+    lingered = s.lingered + 1 if converged else 0
+    s = replace(
+        s,
+        sent=Message(s.round + 1, s.clean, final, np.concatenate([V.ravel(), report]) if final else V.ravel()),
+        moved=moved,
+        kicks=s.kicks + moved,
+        rotation=Z,
+        information=information,
+        converged=converged,
+        lingered=lingered,
+        round=s.round + 1,
+        # The last message may get lost: it is repeated, for much longer where messages do get lost.
+        done=s.round + 1 >= s.bound or lingered > (2 if s.clean else PATIENCE),
+    )
+    return s, _packets(s)
+
+
+def _packets(s: RefineState) -> list[Packet]:
+    return [Packet(s.others, encode(s.camera, s.sent))] if s.others else []
+
+
+def _updated(s: RefineState, inbox: Inbox) -> RefineState:
+    """With what all have sent, this camera included; extrapolated while all know all."""
+    inbox = [(c, data) for c, data in inbox if c in s.others and c not in s.blocked]
+    news, refused = read(inbox, (9, 18), s.refused, {c: m.round for c, m in s.members.items()})
+    news[s.camera] = s.sent
+    size = {c: float(np.linalg.norm(m.values[:9])) for c, m in news.items()}
+    usual = np.median([v for v in size.values() if v > 0] or [0.0])
+    for c in news.keys() - {s.camera}:
+        if size[c] > HUGE * usual or (news[c].values[15:] < 0).any():
+            refused.setdefault(c, "values that no camera has")
+            del news[c]
+    # Who has settled may be silent: its last message was final.
+    members = {
+        c: m._replace(silent=m.silent + 1) for c, m in s.members.items() if m.silent < PATIENCE or m.report is not None
+    }
+    for c, message in news.items():
+        V, old = message.values[:9].reshape(3, 3), s.members.get(c)
+        change = 1.0 if old is None else float(np.linalg.norm(V - old.V)) / (size[c] or 1.0)
+        wander = change if old is None else 0.9 * old.wander + 0.1 * change
+        report = message.values[9:] if message.values.size > 9 else None
+        members[c] = Member(V, change, wander, report, message.round, 1 if old is None else old.heard + 1, 0)
+    members = dict(sorted(members.items()))  # sums come out the same at every camera
+    # The first round makes all acquainted; from then on all must be heard in every one.
+    expected = news.keys() if s.round == 0 else s.members.keys()
+    clean = news.keys() == expected and all(m.clean and m.round == s.round for m in news.values())
+    s = replace(s, refused=refused, clean=s.clean and clean)
+    history: tuple[tuple[FloatArray, FloatArray], ...] = ()
+    if s.clean and s.round > 0 and not s.moved:
+        V = np.array([s.members[c].V for c in members])
+        step = np.array([m.V for m in members.values()]) - V
+        if s.history and np.linalg.norm(step) < 2 * min(np.linalg.norm(f) for _, f in s.history):
+            history = s.history  # else it led astray
+        history = (*history, (V, step))[-MEMORY - 1 :]
+        V = _extrapolated(history)
+        members = {c: m._replace(V=v) for (c, m), v in zip(members.items(), V, strict=True)}
+    return replace(s, members=members, history=history)
+
+
+def _extrapolated(history: tuple[tuple[FloatArray, FloatArray], ...]) -> FloatArray:
+    """Anderson's: the combination of the last V whose steps cancel best, with its own step. (C, 3, 3)."""
+    V, step = history[-1]
+    if len(history) < 4:
+        return np.asarray(V + step)
+    weight = 1 / np.sqrt(np.linalg.norm(V, axis=(1, 2)) + 1e-300)[:, None, None]
+    steps = np.array([b - a for (_, a), (_, b) in pairwise(history)])
+    images = np.array([(vb + b) - (va + a) for (va, a), (vb, b) in pairwise(history)])
+    A = (weight * steps).reshape(len(steps), -1)
+    unit = 1 / np.maximum(np.linalg.norm(A, axis=1), 1e-300)
+    A = A * unit[:, None]
+    mix = unit * np.linalg.solve(A @ A.T + 1e-12 * np.eye(len(A)), A @ (weight * step).ravel())
+    return np.asarray(V + step - np.tensordot(mix, images, 1))
+
+
+def _without_strays(s: RefineState) -> RefineState:
+    """Without the cameras whose rotation still jumps about when everybody's should long have settled."""
+    usual = float(np.median([m.wander for m in s.members.values()]))
+    strays = {
+        c
+        for c, m in s.members.items()
+        if c != s.camera and m.heard > 1.5 * PATIENCE and m.wander > max(WANDERING, 2 * usual)
+    }
+    if not strays:
+        return s
+    return replace(
+        s,
+        members={c: m for c, m in s.members.items() if c not in strays},
+        history=(),
+        clean=False,
+        refused={**s.refused, **dict.fromkeys(strays, "its rotation never settles")},
+        blocked=s.blocked | strays,
+    )
+
+
+def _report(e: Evidence, rotation: FloatArray) -> FloatArray:
+    hessian = derivatives(e.H, e.h, rotation)[1]
+    cost = max(float(cost_of(e.H, e.h, rotation)) + e.constant, 0.0)
+    return np.array([*hessian[_UPPER], cost, e.constant, e.weight])
+
+
+def _unpacked(report: FloatArray) -> tuple[FloatArray, float, float, float]:
+    hessian = np.zeros((3, 3))
+    hessian[_UPPER] = report[:6]
+    return hessian + np.triu(hessian, 1).T, float(report[6]), float(report[7]), float(report[8])
+
+
+def _nearest_rotation(M: FloatArray) -> FloatArray:
+    U, _, Vt = np.linalg.svd(M)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)

@@ -1,0 +1,166 @@
+"""The paper's estimators as methods of `estimate_motion` and the tracker.
+
+None of them rejects outliers: they are given the inliers of a robust fit, as pair moments, and their rotation takes the
+place of the fit's. The displacement follows from the means. Cameras at fault are left out and named (`sensors`).
+
+Source: Chen & Schonfeld (2010); docs/method.md, "The paper".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sylpose.depth_plane import solve_depth_plane
+from sylpose.fit import Fit
+from sylpose.moments import PairMoments
+from sylpose.network import Agreement, solve_exchange, solve_gossip, solve_refine
+from sylpose.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
+from sylpose.results import Status
+from sylpose.sensors import diagnose, suspect_cameras
+from sylpose.sylvester import solve_centralized, translation_from_means
+from sylpose.terms import TermData
+
+__all__ = ["ESTIMATORS", "faults_of", "paper_fit"]
+
+FloatArray = NDArray[np.float64]
+Moments = Sequence[PairMoments]
+
+# A camera of whose matches no more than this share are inliers was rejected as a whole: what is wrong with it, all of its
+# matches are asked, of which there must be so many.
+REJECTED_SHARE, ENOUGH = 0.2, 8
+# Fewer matches have no second moments.
+SPREAD = 3
+
+
+class Turn(NamedTuple):
+    """What an estimator says: R (3, 3), information (3, 3) of w, R = exp(w) R̂, and the iterations or rounds it took."""
+
+    status: Status
+    rotation: FloatArray
+    information: FloatArray
+    iterations: int
+
+
+def _sylvester(Q: FloatArray, moments: Moments, _: FloatArray) -> Turn:
+    s = solve_centralized(Q, moments)
+    return Turn(s.status, s.rotation, s.information, s.iterations)
+
+
+def _depth_plane(Q: FloatArray, moments: Moments, _: FloatArray) -> Turn:
+    s = solve_depth_plane(Q, moments)
+    return Turn(s.status, s.rotation, s.information, s.iterations)
+
+
+def _distributed(solve: Callable[[FloatArray, Moments], Agreement]) -> Estimator:
+    def agree(Q: FloatArray, moments: Moments, _: FloatArray) -> Turn:
+        s = solve(Q, moments)
+        return Turn(s.status, s.rotation, s.information, s.rounds)
+
+    return agree
+
+
+def _one_camera(solve: Callable[[FloatArray, PairMoments], OneCameraSolution]) -> Estimator:
+    """Of the camera with the most matches; of its two mirrored answers the one nearer to the robust fit's, which it cannot
+    tell itself."""
+
+    def one(Q: FloatArray, moments: Moments, guess: FloatArray) -> Turn:
+        c = int(np.argmax([m.count for m in moments]))
+        s = solve(Q[c], moments[c])
+        k = int(np.argmin(np.linalg.norm(s.rotations - guess, axis=(1, 2))))
+        return Turn(s.status, s.rotations[k], s.information[k], s.iterations)
+
+    return one
+
+
+# (rotations (C, 3, 3), C moments, the robust fit's R) -> the estimate. The keys are names of methods (`choices`).
+Estimator = Callable[[FloatArray, Moments, FloatArray], Turn]
+ESTIMATORS: dict[str, Estimator] = {
+    "sylvester": _sylvester,
+    "depth-plane": _depth_plane,
+    "exchange": _distributed(solve_exchange),
+    "refine": _distributed(solve_refine),
+    "gossip": _distributed(solve_gossip),
+    "one-camera": _one_camera(solve_one_camera),
+    "unconstrained": _one_camera(solve_unconstrained),
+}
+
+
+def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatArray, names: Sequence[str]) -> Fit:
+    """One of the paper's estimates in place of a robust fit's motion.
+
+    Args:
+        method: a key of `ESTIMATORS`.
+        data: the terms of the fit, one per camera, all of the same reference.
+        robust: a fit whose status is OK.
+        center: (3,) g.
+        names: of the rig's cameras.
+
+    Returns:
+        the fit with its motion, information, status and `faults` replaced; the weights stay the robust fit's.
+    """
+    seen = [i for i, w in enumerate(robust.weights) if (w > 0).sum() >= SPREAD or _is_rejected(w)]
+    if not seen:
+        return replace(robust, status=Status.TURN_NOT_OBSERVABLE)
+    Q = np.array([data[i].rotation for i in seen])
+    inliers = [PairMoments.from_matches(data[i].x, data[i].y, robust.weights[i]) for i in seen]
+    asked = [
+        _moments_of_all(data[i]) if _is_rejected(robust.weights[i]) else m for i, m in zip(seen, inliers, strict=True)
+    ]
+    diagnosis = diagnose(Q, asked, names=[names[data[i].camera] for i in seen])
+    # Where it cannot be told which cameras are wrong, all of them are heard, as by the robust fit.
+    trust = diagnosis.weights if diagnosis.consistent else np.ones(len(seen))
+    moments = [PairMoments(float(t) * m.matrix) for t, m in zip(trust, inliers, strict=True)]
+    faults = tuple(fault.text for fault in diagnosis.faults if fault is not None)
+    try:
+        turn = ESTIMATORS[method](Q, moments, robust.rotation)
+        shift, of_shift = translation_from_means(
+            Q, np.array([data[i].center for i in seen]), moments, turn.rotation, center
+        )
+    except ValueError:
+        # No spread in any camera, or an object behind one: nothing to estimate a turn from.
+        return replace(robust, status=Status.TURN_NOT_OBSERVABLE, faults=faults)
+    information = np.zeros((6, 6))
+    information[:3, :3], information[3:, 3:] = turn.information, of_shift
+    return replace(
+        robust,
+        # What of the turn is not seen, the information shows (`motion.observed`).
+        status=Status.OK if turn.status is Status.TURN_NOT_OBSERVABLE else turn.status,
+        rotation=turn.rotation,
+        shift=shift,
+        information=information,
+        information_without_depth=information,
+        iterations=robust.iterations + turn.iterations,
+        faults=faults,
+    )
+
+
+def faults_of(data: Sequence[TermData], fit: Fit, names: Sequence[str]) -> tuple[str, ...]:
+    """A sentence for each camera that a fit has rejected as a whole and that is at fault by what the others say.
+
+    Args:
+        data: the terms of the fit, one per camera, all of the same reference.
+        names: of the rig's cameras.
+    """
+    rejected = [_is_rejected(w) for w in fit.weights]
+    if not any(rejected):
+        return ()
+    moments = [
+        _moments_of_all(term) if out else PairMoments.from_matches(term.x, term.y, w)
+        for term, out, w in zip(data, rejected, fit.weights, strict=True)
+    ]
+    Q = np.array([term.rotation for term in data])
+    diagnosis = suspect_cameras(Q, moments, fit.rotation, names=[names[term.camera] for term in data])
+    return tuple(f.text for f, out in zip(diagnosis.faults, rejected, strict=True) if out and f is not None)
+
+
+def _is_rejected(weights: FloatArray) -> bool:
+    return len(weights) >= ENOUGH and int((weights > 0).sum()) <= REJECTED_SHARE * len(weights)
+
+
+def _moments_of_all(term: TermData) -> PairMoments:
+    return PairMoments.from_matches(term.x, term.y)

@@ -1,0 +1,233 @@
+"""What a camera sees of a motion, also one that sees nothing of the object, or one that does not exist.
+
+All cameras share one rotation; each has its own view of it. With X_c = Q X + q and the camera's centre o = -Q'q, the motion
+X_j = R X_i + t is, in the camera's axes,
+
+    R_c = Q R Q',   t_c = Q (t + (R - I) o),
+
+and an error (w, d) of it is (Q w, Q d): the uncertainty turns with the axes and does not grow.
+
+Source: method.md, section 1; Chen & Schonfeld (2010) give each camera the common rotation in its own axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.fit import covariance_of
+from sylpose.orthographic import checked_rotations
+from sylpose.results import FramePose, Motion, Status, Trajectory
+from sylpose.rig import Camera, Rig
+
+__all__ = [
+    "MotionView",
+    "RotationView",
+    "Viewpoint",
+    "camera_from_world_of",
+    "trajectory_view",
+    "view_of_motion",
+    "view_of_pose",
+    "view_of_rotation",
+]
+
+FloatArray = NDArray[np.float64]
+
+# A camera (real, or a virtual one as `simulate.camera_at` makes), a bare camera_from_world, or a camera's name in a rig.
+Viewpoint: TypeAlias = Camera | RigidTransform | str
+
+
+@dataclass(frozen=True, eq=False)
+class MotionView:
+    """The object's motion between two frames in one camera's axes (x right, y down, z forward).
+
+    Attributes:
+        status: of the motion that is viewed.
+        camera_from_world: of the camera.
+        motion: camera points on the object at frame i -> at frame j, X_j = R X_i + t; None where the motion is.
+        center: (3,) the object's centre at frame i, the camera's axes.
+        information: (6, 6) of (w, d): R = exp(w) R̂, d the displacement of `center`, both in the camera's axes.
+        covariance: (6, 6) its inverse; infinite variance along axes in which something is not known.
+        unseen: (k, 6) directions of (w, d) that the matches of the rig leave open.
+    """
+
+    status: Status
+    camera_from_world: RigidTransform
+    motion: RigidTransform | None
+    center: FloatArray
+    information: FloatArray
+    covariance: FloatArray
+    unseen: FloatArray
+
+    @property
+    def pan_tilt_roll(self) -> FloatArray:
+        """(3,) radians of the turn as the camera has it, R = R_y(pan) R_x(tilt) R_z(roll); NaN without a motion."""
+        return np.full(3, np.nan) if self.motion is None else _pan_tilt_roll(self.motion.rotation)
+
+    @property
+    def displacement(self) -> FloatArray:
+        """(3,) of the object's centre: right, down, away from the camera; NaN without a motion."""
+        return np.full(3, np.nan) if self.motion is None else np.asarray(self.motion.apply(self.center) - self.center)
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(6,) standard deviations: the turn about the camera's x, y, z (radians), then the displacement."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+@dataclass(frozen=True, eq=False)
+class RotationView:
+    """A rotation of the object in one camera's axes.
+
+    Attributes:
+        camera_from_world: of the camera; only its rotation matters.
+        rotation: (3, 3) R_c = Q R Q'.
+        information: (3, 3) of w, R_c = exp(w) R̂_c, the camera's axes, 1/rad².
+        covariance: (3, 3) its inverse; infinite variance about axes about which something is not known.
+    """
+
+    camera_from_world: RigidTransform
+    rotation: FloatArray
+    information: FloatArray
+    covariance: FloatArray
+
+    @property
+    def pan_tilt_roll(self) -> FloatArray:
+        """(3,) radians, R_c = R_y(pan) R_x(tilt) R_z(roll)."""
+        return _pan_tilt_roll(Rotation.from_matrix(self.rotation))
+
+
+def view_of_motion(motion: Motion, camera: Viewpoint, *, rig: Rig | None = None) -> MotionView:
+    """The motion between two frames as a camera has it, with its uncertainty.
+
+    Args:
+        motion: of `estimate_motion` (not of `estimate_pose`, whose motion starts in the model's frame).
+        camera: whose view; a name is looked up in `rig`.
+        rig: needed for a name only.
+
+    Raises:
+        ValueError: a name without a rig or that the rig does not have; a transform that is no single finite one.
+    """
+    pose = camera_from_world_of(camera, rig)
+    turn = _turn(pose)
+    information = turn @ motion.information @ turn.T
+    return MotionView(
+        status=motion.status,
+        camera_from_world=pose,
+        motion=None if motion.motion is None else pose * motion.motion * pose.inv(),
+        center=np.asarray(pose.apply(motion.center)),
+        information=information,
+        covariance=covariance_of(information),
+        unseen=motion.unseen @ turn.T,
+    )
+
+
+def view_of_rotation(
+    rotation: ArrayLike, information: ArrayLike, camera: Viewpoint, *, rig: Rig | None = None
+) -> RotationView:
+    """A rotation as a camera has it: of the estimators that give no translation (`solve_centralized` and its kin).
+
+    Args:
+        rotation: (3, 3) R, world axes.
+        information: (3, 3) of w, R = exp(w) R̂, world axes.
+        camera, rig: as in `view_of_motion`.
+
+    Raises:
+        ValueError: as `view_of_motion`; a matrix that is no rotation, an information that is not (3, 3) or not finite.
+    """
+    R = checked_rotations(np.asarray(rotation, dtype=float)[None], 1)[0]
+    info = np.asarray(information, dtype=float)
+    if info.shape != (3, 3) or not np.isfinite(info).all():
+        raise ValueError(f"information must be (3, 3) and finite, got shape {info.shape}")
+    pose = camera_from_world_of(camera, rig)
+    Q = pose.rotation.as_matrix()
+    seen = Q @ info @ Q.T
+    return RotationView(pose, Q @ R @ Q.T, seen, covariance_of(seen))
+
+
+def view_of_pose(pose: FramePose, camera: Viewpoint, *, rig: Rig | None = None) -> FramePose:
+    """The pose in one frame as a camera has it: `world_from_object` is then camera_from_world · world_from_object.
+
+    The object's frame stays what it was: pan, tilt and roll are not 0 in the first frame unless the camera is parallel to
+    the world. `trajectory_view` turns the object's axes as well.
+
+    Args:
+        pose: of a trajectory.
+        camera, rig: as in `view_of_motion`.
+
+    Raises:
+        ValueError: as `view_of_motion`.
+    """
+    camera_from_world = camera_from_world_of(camera, rig)
+    return _pose_from(pose, camera_from_world, _turn(camera_from_world), RigidTransform.identity())
+
+
+def trajectory_view(trajectory: Trajectory, camera: Viewpoint, *, rig: Rig | None = None) -> Trajectory:
+    """The trajectory as if the camera's frame were the world: `world_from_object` is then camera_from_object.
+
+    As in the trajectory itself the object's axes are those of the frame that it is told in, so they are turned along: an
+    orientation of zero, the first frame's, stays zero, and pan, tilt and roll are about the camera's own axes.
+
+    Args:
+        trajectory: in the world frame of `camera`.
+        camera, rig: as in `view_of_motion`.
+
+    Raises:
+        ValueError: as `view_of_motion`.
+    """
+    camera_from_world = camera_from_world_of(camera, rig)
+    turn = _turn(camera_from_world)
+    axes = RigidTransform.from_rotation(camera_from_world.rotation.inv())
+    frames = [_pose_from(pose, camera_from_world, turn, axes) for pose in trajectory]
+    return Trajectory(frames, trajectory.camera_names, trajectory.unit)
+
+
+def camera_from_world_of(camera: Viewpoint, rig: Rig | None = None) -> RigidTransform:
+    """The pose of a viewpoint: a camera, a bare camera_from_world, or a name that is looked up in a rig.
+
+    Raises:
+        ValueError: a name without a rig or that the rig does not have; a transform that is no single finite one.
+    """
+    if isinstance(camera, Camera):
+        return camera.camera_from_world
+    if isinstance(camera, str):
+        if rig is None:
+            raise ValueError(f"camera {camera!r} is given by its name, which takes a rig to look it up in")
+        if camera not in rig.names:
+            raise ValueError(f"no camera {camera!r} in the rig ({', '.join(rig.names)})")
+        return rig[camera].camera_from_world
+    if not camera.single or not np.isfinite(camera.as_matrix()).all():
+        raise ValueError("camera: camera_from_world must be a single transform of finite values")
+    return camera
+
+
+def _pose_from(pose: FramePose, camera_from_world: RigidTransform, turn: FloatArray, axes: RigidTransform) -> FramePose:
+    """The pose seen from a camera, of an object whose own frame is changed by `axes`, object_from_its_new_frame."""
+    seen = None if pose.world_from_object is None else camera_from_world * pose.world_from_object * axes
+    return replace(pose, world_from_object=seen, covariance=_turned(pose.covariance, turn))
+
+
+def _turned(covariance: FloatArray, turn: FloatArray) -> FloatArray:
+    """A covariance in turned axes; infinite variance stays what it is, on each new axis that has a part in it."""
+    unknown = ~np.isfinite(np.diag(covariance))
+    finite = np.where(unknown | unknown[:, None], 0.0, covariance)
+    out = turn @ finite @ turn.T
+    lost = (np.abs(turn[:, unknown]) > 1e-12).any(axis=1)
+    out[lost] = out[:, lost] = 0.0
+    out[lost, lost] = np.inf
+    return np.asarray(out)
+
+
+def _turn(camera_from_world: RigidTransform) -> FloatArray:
+    """(6, 6) what takes (w, d) from the world's axes to the camera's."""
+    Q = camera_from_world.rotation.as_matrix()
+    return np.asarray(block_diag(Q, Q))
+
+
+def _pan_tilt_roll(rotation: Rotation) -> FloatArray:
+    return np.asarray(rotation.as_euler("YXZ", suppress_warnings=True))
