@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -94,9 +94,10 @@ def estimate_motion(
     g = found_center if center is None else _place(center, rig, data)
     guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
     size = found_radius if radius is None else radius
-    fit = fit_terms(data, g, size, guess, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    fit = fit_terms(data, g, size, guess, rng)
     if fit.status.has_pose:
-        fit = replace(fit, faults=faults_of(data, fit, rig.names))
+        fit = _without_faults(data, fit, rig.names, lambda rest: fit_terms(rest, g, size, guess, rng))
     if method in ESTIMATORS and fit.status is Status.OK:
         fit = paper_fit(method, data, fit, g, rig.names)
     return _motion(rig, matches, data, fit, g, method, size)
@@ -172,6 +173,24 @@ def motion_about(center: FloatArray, fit: Fit) -> RigidTransform:
     """X -> R (X - g) + g + d as a transform."""
     rotation = Rotation.from_matrix(fit.rotation, assume_valid=True)
     return RigidTransform.from_components(center + fit.shift - fit.rotation @ center, rotation)
+
+
+def _without_faults(
+    data: Sequence[TermData], fit: Fit, names: Sequence[str], again: Callable[[Sequence[TermData]], Fit]
+) -> Fit:
+    """The fit with the cameras at fault named; and made again without them, if it has heard any of them."""
+    faults = faults_of(data, fit, names)
+    told = replace(fit, faults=tuple(faults.values()))
+    if not any((fit.weights[i] > 0).any() for i in faults):
+        return told
+    kept = [i for i in range(len(data)) if i not in faults]
+    better = again([data[i] for i in kept])
+    if not better.status.has_pose:
+        return told
+    weights, residuals = [np.zeros(len(term)) for term in data], list(fit.residuals)
+    for i, w, r in zip(kept, better.weights, better.residuals, strict=True):
+        weights[i], residuals[i] = w, r
+    return replace(better.with_matches(weights, residuals), faults=told.faults)
 
 
 def _motion(

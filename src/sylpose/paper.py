@@ -30,9 +30,9 @@ __all__ = ["ESTIMATORS", "faults_of", "paper_fit"]
 FloatArray = NDArray[np.float64]
 Moments = Sequence[PairMoments]
 
-# A camera of whose matches no more than this share are inliers was rejected as a whole: what is wrong with it, all of its
-# matches are asked, of which there must be so many.
-REJECTED_SHARE, ENOUGH = 0.2, 8
+# A camera of whose matches no more than this share are inliers was rejected as a whole. One whose inliers are off by so
+# many times what is usual is odd. What is wrong with either, all of its matches are asked, of which there must be so many.
+REJECTED_SHARE, ODD, ENOUGH = 0.2, 2.0, 8
 # Fewer matches have no second moments.
 SPREAD = 3
 
@@ -103,19 +103,18 @@ def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatA
     Returns:
         the fit with its motion, information, status and `faults` replaced; the weights stay the robust fit's.
     """
-    seen = [i for i, w in enumerate(robust.weights) if (w > 0).sum() >= SPREAD or _is_rejected(w)]
+    odd = _rejected(robust) | _noisy(robust)
+    seen = [i for i, w in enumerate(robust.weights) if (w > 0).sum() >= SPREAD or odd[i]]
     if not seen:
         return replace(robust, status=Status.TURN_NOT_OBSERVABLE)
     Q = np.array([data[i].rotation for i in seen])
     inliers = [PairMoments.from_matches(data[i].x, data[i].y, robust.weights[i]) for i in seen]
-    asked = [
-        _moments_of_all(data[i]) if _is_rejected(robust.weights[i]) else m for i, m in zip(seen, inliers, strict=True)
-    ]
+    asked = [_moments_of_all(data[i]) if odd[i] else m for i, m in zip(seen, inliers, strict=True)]
     diagnosis = diagnose(Q, asked, names=[names[data[i].camera] for i in seen])
     # Where it cannot be told which cameras are wrong, all of them are heard, as by the robust fit.
     trust = diagnosis.weights if diagnosis.consistent else np.ones(len(seen))
     moments = [PairMoments(float(t) * m.matrix) for t, m in zip(trust, inliers, strict=True)]
-    faults = tuple(fault.text for fault in diagnosis.faults if fault is not None)
+    faults = tuple(dict.fromkeys((*robust.faults, *(fault.text for fault in diagnosis.faults if fault is not None))))
     try:
         turn = ESTIMATORS[method](Q, moments, robust.rotation)
         shift, of_shift = translation_from_means(
@@ -125,7 +124,10 @@ def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatA
         # No spread in any camera, or an object behind one: nothing to estimate a turn from.
         return replace(robust, status=Status.TURN_NOT_OBSERVABLE, faults=faults)
     information = np.zeros((6, 6))
-    information[:3, :3], information[3:, 3:] = turn.information, of_shift
+    # Off an optimum (the unconstrained estimate) a Hessian may be negative: nothing is known along there.
+    values, vectors = np.linalg.eigh(turn.information)
+    information[:3, :3] = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    information[3:, 3:] = of_shift
     return replace(
         robust,
         # What of the turn is not seen, the information shows (`motion.observed`).
@@ -139,27 +141,46 @@ def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatA
     )
 
 
-def faults_of(data: Sequence[TermData], fit: Fit, names: Sequence[str]) -> tuple[str, ...]:
-    """A sentence for each camera that a fit has rejected as a whole and that is at fault by what the others say.
+def faults_of(data: Sequence[TermData], fit: Fit, names: Sequence[str]) -> dict[int, str]:
+    """By term, a sentence for each camera at fault: a fit has rejected it, or what it sees does not go with the others.
 
     Args:
         data: the terms of the fit, one per camera, all of the same reference.
         names: of the rig's cameras.
     """
-    rejected = [_is_rejected(w) for w in fit.weights]
-    if not any(rejected):
-        return ()
+    rejected = _rejected(fit)
+    odd = rejected | _noisy(fit)
+    if not odd.any():
+        return {}
     moments = [
         _moments_of_all(term) if out else PairMoments.from_matches(term.x, term.y, w)
-        for term, out, w in zip(data, rejected, fit.weights, strict=True)
+        for term, out, w in zip(data, odd, fit.weights, strict=True)
     ]
-    Q = np.array([term.rotation for term in data])
-    diagnosis = suspect_cameras(Q, moments, fit.rotation, names=[names[term.camera] for term in data])
-    return tuple(f.text for f, out in zip(diagnosis.faults, rejected, strict=True) if out and f is not None)
+    diagnosis = suspect_cameras(
+        np.array([term.rotation for term in data]),
+        moments,
+        fit.rotation,
+        at_fault=np.flatnonzero(rejected).tolist(),
+        names=[names[term.camera] for term in data],
+    )
+    return {i: f.text for i, f in enumerate(diagnosis.faults) if odd[i] and f is not None}
 
 
-def _is_rejected(weights: FloatArray) -> bool:
-    return len(weights) >= ENOUGH and int((weights > 0).sum()) <= REJECTED_SHARE * len(weights)
+def _rejected(fit: Fit) -> NDArray[np.bool_]:
+    """(T,) terms that have next to no inliers."""
+    inliers = np.array([int((w > 0).sum()) for w in fit.weights])
+    matches = np.array([len(w) for w in fit.weights])
+    return (matches >= ENOUGH) & (inliers <= REJECTED_SHARE * matches)
+
+
+def _noisy(fit: Fit) -> NDArray[np.bool_]:
+    """(T,) terms whose inliers are farther off than those of most."""
+    rms = [
+        float(np.sqrt(np.mean(r[w > 0] ** 2))) if (w > 0).any() else 0.0
+        for w, r in zip(fit.weights, fit.residuals, strict=True)
+    ]
+    enough = np.array([len(w) >= ENOUGH for w in fit.weights])
+    return enough & (np.array(rms) > ODD * np.median(rms))
 
 
 def _moments_of_all(term: TermData) -> PairMoments:

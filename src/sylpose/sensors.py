@@ -181,6 +181,7 @@ def suspect_cameras(
     moments: Sequence[PairMoments],
     rotation: ArrayLike,
     *,
+    at_fault: Sequence[int] = (),
     names: Sequence[str] | None = None,
     aim: bool = True,
 ) -> Diagnosis:
@@ -189,6 +190,8 @@ def suspect_cameras(
     Args:
         rotations, moments, names, aim: as in `solve_robust`.
         rotation: (3, 3) R, world frame. It is taken as exact.
+        at_fault: cameras that are known to be so by other means (matches that no epipolar line is near to, say): what is
+            wrong with them is all that is asked.
 
     Raises:
         ValueError: as `views_of`; names that are not C; a matrix that is no rotation.
@@ -198,6 +201,7 @@ def suspect_cameras(
     fits = affine_fits(views_of(rotations, moments, aim=aim))
     still, junk = _still(moments, fits), _junk(fits)
     scores = np.maximum(score(fits, R[None]).squared[0], junk)
+    scores[np.isin(fits.camera, np.asarray(at_fault, dtype=np.int64))] = np.inf
     return _report(labels, fits, _kinds(still, junk > JUNK), R, scores, True)
 
 

@@ -15,7 +15,6 @@ from sylpose.alignment import Aligned, Sights, align
 from sylpose.fit import MIN_MATCHES, Fit, fit_terms, no_fit
 from sylpose.known_depth import solve_2d3d
 from sylpose.landmarks import Landmarks
-from sylpose.orthographic import turn_to
 from sylpose.paper import ESTIMATORS, paper_fit
 from sylpose.reference import Pair, Reference, still
 from sylpose.results import Status
@@ -35,6 +34,10 @@ POOR_COST = 0.6
 YOUNG = 3
 # Weight of a landmark that stands still and never moved, while others move.
 STILL_TRUST = 0.05
+# A depth is known where it moves the landmark's image by less than this, pixels; the 2D-3D equation wants so many.
+KNOWN_PX, KNOWN = 1.0, 30
+# Depths and motion are found in turns so often at most, until the rotation changes by less.
+POSIT_ROUNDS, POSIT_SETTLED = 20, 1e-6
 # Landmarks with less trust are no evidence that a pose is right.
 TRUSTED = 0.06
 
@@ -115,42 +118,49 @@ def solve_known_depth(
     guess: Hypothesis,
     rng: np.random.Generator,
 ) -> Fit:
-    """Sylvester's equation for points known in 3D (2D-3D), of the landmarks that `solve_landmarks` finds to agree, in weak
-    perspective: all of the object is taken to be as far away as its centre was."""
+    """Sylvester's equation for points known in 3D (2D-3D), of the landmarks that `solve_landmarks` finds to agree and whose
+    depth is known by now; where these are too few or leave a mirrored answer, that of `solve_landmarks` stands.
+
+    The equation is of orthographic views: each image point is scaled by its landmark's depth, as the motion so far has it,
+    and the two are found in turns (POSIT: D. DeMenthon, L. Davis, 1995).
+    """
     fit = solve_landmarks(rig, pairs, current, base, radius, guess, rng)
     if fit.status is not Status.OK:
         return fit
-    rotations, centers, points, images, weights = [], [], [], [], []
-    for c in range(len(rig)):
-        w = np.concatenate([np.empty(0), *(w for pair, w in zip(pairs, fit.weights, strict=True) if pair.camera == c)])
-        sights, _ = _sights(rig, pairs, current, base, c)
-        towards = -(sights.rotation @ sights.center)
-        if not (w > 0).any() or towards[2] <= 0:
-            continue
-        # Perspective is orthographic to first order about the ray to the object only.
-        turn = turn_to(towards[None, :2] / towards[2])[0]
-        rays = np.column_stack([sights.image, np.ones(len(w))]) @ turn.T
-        rotations.append(turn @ sights.rotation)
-        centers.append(sights.center)
-        points.append(sights.points)
-        images.append(np.linalg.norm(towards) * rays[:, :2] / rays[:, 2:])
-        weights.append(w)
-    if not rotations:
-        return no_fit([pair.term(rig, base) for pair in pairs], Status.TOO_FEW_MATCHES)
-    s = solve_2d3d(np.array(rotations), points, images, centers=np.array(centers), weights=weights)
+    cameras = [_sights(rig, pairs, current, base, c)[0] for c in range(len(rig))]
+    weights = [
+        np.concatenate([np.empty(0), *(w for pair, w in zip(pairs, fit.weights, strict=True) if pair.camera == c)])
+        for c in range(len(rig))
+    ]
+    known = [s.focal * _smear(s, fit.rotation, fit.shift) < KNOWN_PX for s in cameras]
+    weights = [np.where(k, w, 0.0) for k, w in zip(known, weights, strict=True)]
+    if sum(int((w > 0).sum()) for w in weights) < KNOWN:
+        return fit
+    rotations, centers = np.array([s.rotation for s in cameras]), np.array([s.center for s in cameras])
+    points = [s.points for s in cameras]
+    R, shift = guess
+    rounds = 0
+    for _ in range(POSIT_ROUNDS):
+        images = [s.image * ((s.points @ R.T + shift - s.center) @ s.rotation[2])[:, None] for s in cameras]
+        s = solve_2d3d(rotations, points, images, centers=centers, weights=weights)
+        rounds += s.iterations
+        if s.status is not Status.OK:
+            return fit
+        change = np.abs(s.rotation - R).max()
+        R, shift = s.rotation, s.translation
+        if change < POSIT_SETTLED:
+            break
     # From the displacement of the points' mean to that of the object's centre, here the origin.
     about = np.eye(6)
-    about[3:, :3] = -np.cross(np.eye(3), s.rotation @ s.center).T
+    about[3:, :3] = -np.cross(np.eye(3), R @ s.center)
     information = about.T @ block_diag(s.information, s.displacement_information) @ about
     return replace(
         fit,
-        # What of the turn is not seen, the information shows (`motion.observed`).
-        status=Status.OK if s.status is Status.TURN_NOT_OBSERVABLE else s.status,
-        rotation=s.rotation,
-        shift=s.translation,
+        rotation=R,
+        shift=shift,
         information=information,
         information_without_depth=information,
-        iterations=fit.iterations + s.iterations,
+        iterations=fit.iterations + rounds,
     )
 
 
@@ -171,16 +181,19 @@ def _by_chance(sights: Sequence[Sights], aligned: Aligned, current: Reference) -
         total += len(np.unique(sight.feature))
         unknowns += 3
         sigma = np.sqrt(np.mean(residuals[good] ** 2)) / sight.focal if good.any() else 1.0 / sight.focal
-        ends = [
-            (sight.points + k * sight.depth_error) @ aligned.rotation.T + aligned.shift - sight.center for k in (0, 1)
-        ]
-        near, far = (p @ sight.rotation.T for p in ends)
-        along = np.linalg.norm(near[:, :2] / near[:, 2:] - far[:, :2] / far[:, 2:], axis=1)
+        along = _smear(sight, aligned.rotation, aligned.shift)
         region = float(np.prod(np.ptp(current.features[c].normalized, axis=0)))
         share = np.minimum(np.pi * CUTOFF**2 * sigma * np.hypot(sigma, along) / max(region, 1e-12), 1.0)
         # A feature that is matched with several landmarks is tried once.
         by_chance += float(np.bincount(sight.feature, share).sum() / max(np.bincount(sight.feature).max(), 1))
     return inliers < 0.8 * total and inliers < 2 * unknowns + 4.0 * by_chance
+
+
+def _smear(sight: Sights, rotation: FloatArray, shift: FloatArray) -> FloatArray:
+    """(n,) by how much one standard deviation of a landmark's depth moves its image, normalised units."""
+    ends = [(sight.points + k * sight.depth_error) @ rotation.T + shift - sight.center for k in (0, 1)]
+    near, far = (p @ sight.rotation.T for p in ends)
+    return np.asarray(np.linalg.norm(near[:, :2] / near[:, 2:] - far[:, :2] / far[:, 2:], axis=1))
 
 
 def _trusted(sights: Sequence[tuple[Sights, BoolArray]], before: float) -> list[Sights]:
