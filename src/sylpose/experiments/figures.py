@@ -1,0 +1,158 @@
+"""The studies as pictures: medians over the trials, with bands from the first to the third quartile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from numpy.typing import NDArray
+
+from sylpose.experiments.table import Table
+from sylpose.report.plots import INK, new_figure, save_figure
+
+__all__ = ["THE_TURN", "Reference", "draw_bars", "draw_lines"]
+
+FloatArray = NDArray[np.float64]
+
+# Okabe & Ito's colours for up to four methods; each with a dash and a marker of its own, to be told apart in grey.
+STYLES = (
+    ("#0072B2", "-", "o"),
+    ("#D55E00", "--", "s"),
+    ("#009E73", "-.", "^"),
+    ("#CC79A7", ":", "D"),
+)
+# With more levels than this, not each one gets a marker and a tick.
+MARKED = 15
+ERROR_LABEL = "rotation error (degrees)"
+
+
+class Reference(NamedTuple):
+    """A curve to compare with, drawn thin and grey in every panel."""
+
+    label: str
+    of: Callable[[FloatArray], FloatArray]
+
+
+# The error of who says that nothing turned, where the level is the turn.
+THE_TURN = Reference("no answer: the turn itself", lambda turn: turn)
+
+
+def draw_lines(
+    table: Table,
+    path: Path,
+    *,
+    title: str,
+    x: str,
+    x_label: str,
+    y: str = "deg",
+    y_label: str = ERROR_LABEL,
+    log_x: bool = True,
+    reference: Reference | None = None,
+) -> None:
+    """A panel per scene, a line per method, over a column, with a logarithmic y axis.
+
+    Args:
+        table: with columns scene, method, `x`, q25_`y`, median_`y` and q75_`y`.
+        log_x: a logarithmic x axis too; levels of zero are left out.
+    """
+    figure, panels = _panels(table, title, x_label, y_label)
+    for scene, panel in panels.items():
+        for k, method in enumerate(table.distinct("method")):
+            rows = table.where(scene=scene, method=method)
+            shown = rows.numbers(x) > 0 if log_x else np.full(len(rows.rows), True)
+            at = rows.numbers(x)[shown]
+            low, median, high = (rows.numbers(f"{q}_{y}")[shown] for q in ("q25", "median", "q75"))
+            color, dash, marker = STYLES[k]
+            every = 1 + len(at) // MARKED
+            panel.plot(
+                at, median, color=color, linestyle=dash, marker=marker, markevery=(k % every, every), label=method
+            )
+            panel.fill_between(at, low, high, color=color, alpha=0.15, linewidth=0)
+        levels = np.unique(table.numbers(x))
+        if reference is not None:
+            at = levels[levels > 0] if log_x else levels
+            panel.plot(at, reference.of(at), color="#888888", linewidth=1.2, linestyle=":", label=reference.label)
+        panel.set_yscale("log")
+        _plain_numbers(panel.yaxis)
+        if log_x:
+            panel.set_xscale("log")
+            _plain_numbers(panel.xaxis)
+        elif len(levels) <= MARKED:
+            panel.set_xticks(levels)
+        _finish(panel)
+    handles, labels = next(iter(panels.values())).get_legend_handles_labels()
+    if len(handles) > 1:
+        # In one row if there is room for it, by the usual width of letters, in inches; else in two.
+        wide = sum(0.7 + 0.075 * len(label) for label in labels) > figure.get_figwidth()
+        columns = -(-len(handles) // 2) if wide else len(handles)
+        figure.legend(handles, labels, loc="outside lower left", ncols=columns, frameon=False, labelcolor=INK)
+    save_figure(figure, path)
+
+
+def draw_bars(table: Table, path: Path, *, title: str) -> None:
+    """A panel per scene, a row per method: the median of the rotation error, written beside it, and its quartiles.
+
+    Args:
+        table: with columns scene, method, q25_deg, median_deg and q75_deg, one row per scene and method.
+    """
+    methods = table.distinct("method")
+    figure, panels = _panels(table, title, ERROR_LABEL, "", rows=len(methods))
+    for scene, panel in panels.items():
+        for k, method in enumerate(methods):
+            low, median, high = (table.value(f"{q}_deg", scene=scene, method=method) for q in ("q25", "median", "q75"))
+            panel.plot([low, high], [k, k], color=STYLES[0][0], linewidth=7, alpha=0.25, solid_capstyle="butt")
+            panel.plot(median, k, "o", color=STYLES[0][0])
+            panel.annotate(f"{median:.2g}°", (high, k), (6, 0), textcoords="offset points", va="center", color=INK)
+        panel.set_yticks(range(len(methods)), [str(m) for m in methods])
+        panel.set_ylim(len(methods) - 0.5, -0.5)
+        panel.set_xscale("log")
+        _plain_numbers(panel.xaxis)
+        _finish(panel)
+    left, right = panel.get_xlim()  # which all panels share
+    panel.set_xlim(left, right * (right / left) ** 0.15)  # room for the numbers at the far end
+    save_figure(figure, path)
+
+
+def _panels(
+    table: Table, title: str, x_label: str, y_label: str, rows: int | None = None
+) -> tuple[Figure, dict[str, Axes]]:
+    """A panel for each scene, by name, side by side (four: two by two); as high as it takes for `rows` rows of text."""
+    scenes = [str(scene) for scene in table.distinct("scene")]
+    columns = 2 if len(scenes) == 4 else min(len(scenes), 3)
+    lines = -(-len(scenes) // columns)
+    width, height = (3.4, 2.7) if rows is None else (3.3, 0.7 + 0.32 * rows)
+    # Room for the title, the labels of the axes and the legend.
+    figure = new_figure(max(width * columns, 5.5) + (0.5 if rows is None else 2.5), height * lines + 1.2)
+    axes = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
+    for panel in axes[-1]:
+        panel.set_xlabel(x_label, color=INK)
+    for panel in axes[:, 0]:
+        panel.set_ylabel(y_label, color=INK)
+    panels = dict(zip(scenes, axes.ravel(), strict=True))
+    if len(scenes) > 1:
+        for scene, panel in panels.items():
+            panel.set_title(scene, fontsize=10, color=INK, loc="left")
+    return figure, panels
+
+
+def _plain_numbers(axis: Axis) -> None:
+    """At a logarithmic axis: 1, 2, 5, 10, ... or, over more than three decades, the powers of ten."""
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 1000 * low else (1.0,)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
+
+
+def _finish(panel: Axes) -> None:
+    panel.grid(True, color="#DDDDDD", linewidth=0.7)
+    panel.set_axisbelow(True)
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.spines[["left", "bottom"]].set_color("#999999")
+    panel.tick_params(colors=INK)
