@@ -19,7 +19,6 @@ from sylpose.sylvester import (
     CentralizedSolution,
     solve_centralized,
     solve_centralized_batch,
-    translation_from_means,
 )
 
 FloatArray = NDArray[np.float64]
@@ -424,91 +423,3 @@ def test_bad_input_to_the_centralised_estimator_is_refused() -> None:
     for empty in (PairMoments.zero(), PairMoments.from_matches(point, point)):
         with pytest.raises(ValueError, match="spread"):
             solve_centralized(cameras[:1], [empty])
-
-
-# --- Translation ------------------------------------------------------------------------------------------------------
-
-
-def moved_means(
-    rng: np.random.Generator, n: int, noise: float = 0.0
-) -> tuple[FloatArray, FloatArray, list[PairMoments], FloatArray, FloatArray, FloatArray]:
-    """Cameras whose mean surface point is at the centre's depth, which the model holds for."""
-    g, d, turn = (
-        rng.normal(size=3),
-        0.1 * rng.normal(size=3),
-        Rotation.from_rotvec(0.3 * rng.normal(size=3)).as_matrix(),
-    )
-    cameras, centers, moments = random_rotations(rng, n), [], []
-    for q in cameras:
-        s = g + 0.1 * rng.normal(size=3) @ np.diag([1, 1, 0]) @ q
-        o = g - q.T @ [0.2, -0.1, 2.0]
-        x, y = (p[:2] / p[2] for p in (q @ (s - o), q @ (g + turn @ (s - g) + d - o)))
-        spread = 0.02 * rng.normal(size=(10, 2))
-        spread -= spread.mean(axis=0)
-        centers.append(o)
-        seen_turn = (q @ turn @ q.T)[:2, :2]
-        moments.append(
-            PairMoments.from_matches(x + spread, y + spread @ seen_turn.T + noise * rng.normal(size=(10, 2)))
-        )
-    return cameras, np.array(centers), moments, turn, g, d
-
-
-@given(seeds, st.integers(2, 5))
-@quick
-def test_displacement_is_exact_under_its_model(seed: int, n: int) -> None:
-    cameras, centers, moments, turn, g, expected = moved_means(np.random.default_rng(seed), n)
-    d, information = translation_from_means(cameras, centers, moments, turn, g)
-    cond = np.linalg.cond(information)
-    np.testing.assert_allclose(d, expected, atol=1e-12 * max(1.0, cond))
-    np.testing.assert_allclose(information, information.T)
-
-
-def test_one_camera_sees_no_displacement_along_its_ray() -> None:
-    cameras, centers, moments, turn, g, expected = moved_means(np.random.default_rng(0), 1)
-    d, information = translation_from_means(cameras, centers, moments, turn, g)
-    ray = cameras[0].T @ [*moments[0].mean_y, 1.0]
-    ray /= np.linalg.norm(ray)
-    values, vectors = np.linalg.eigh(information)
-    assert abs(values[0]) < 1e-12 * values[1]
-    assert abs(vectors[:, 0] @ ray) == pytest.approx(1)
-    assert abs(d @ ray) < 1e-12
-    # Across the ray it is right: what is left of the truth moves the seen point along the ray only.
-    np.testing.assert_allclose(np.cross(expected - d, ray), 0, atol=1e-12)
-
-
-def test_displacement_information_agrees_with_sampling() -> None:
-    normalised = []
-    for seed in range(150):
-        cameras, centers, moments, turn, g, expected = moved_means(np.random.default_rng(seed), 4, noise=1e-3)
-        d, information = translation_from_means(cameras, centers, moments, turn, g)
-        normalised.append((d - expected) @ information @ (d - expected))
-    # 3 degrees of freedom; less is fine, for what the spread's own depth leaves in the residuals counts as noise too.
-    assert np.median(normalised) < 3
-
-
-def test_displacement_does_not_depend_on_silent_cameras_or_the_frame() -> None:
-    rng = np.random.default_rng(1)
-    cameras, centers, moments, turn, g, _ = moved_means(rng, 3, noise=1e-3)
-    d, information = translation_from_means(cameras, centers, moments, turn, g)
-    more = translation_from_means(
-        np.concatenate([cameras, cameras[:1]]), [*centers, g + 9], [*moments, PairMoments.zero()], turn, g
-    )
-    np.testing.assert_allclose(more[0], d, atol=1e-12)
-    new, shift = random_rotations(rng, 1)[0], rng.normal(size=3)
-    turned = translation_from_means(
-        cameras @ new.T, centers @ new.T + shift, moments, new @ turn @ new.T, new @ g + shift
-    )
-    np.testing.assert_allclose(turned[0], new @ d, atol=1e-10)
-    np.testing.assert_allclose(turned[1], new @ information @ new.T, rtol=1e-6, atol=1e-8 * np.abs(information).max())
-
-
-def test_bad_input_to_the_displacement_is_refused() -> None:
-    cameras, centers, moments, turn, g, _ = moved_means(np.random.default_rng(2), 2)
-    with pytest.raises(ValueError, match=r"centers must be \(2, 3\)"):
-        translation_from_means(cameras, centers[:1], moments, turn, g)
-    with pytest.raises(ValueError, match="rotation"):
-        translation_from_means(cameras, centers, moments, 2 * turn, g)
-    with pytest.raises(ValueError, match="no camera has matches"):
-        translation_from_means(cameras, centers, [PairMoments.zero()] * 2, turn, g)
-    with pytest.raises(ValueError, match="not in front of camera 1"):
-        translation_from_means(cameras, [centers[0], g + 3 * cameras[1, 2]], moments, turn, g)

@@ -22,8 +22,9 @@ from sylpose.network import Agreement, solve_exchange, solve_gossip, solve_refin
 from sylpose.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
 from sylpose.results import Status
 from sylpose.sensors import diagnose, suspect_cameras
-from sylpose.sylvester import solve_centralized, translation_from_means
+from sylpose.sylvester import solve_centralized
 from sylpose.terms import TermData
+from sylpose.translation import translation_from_means, translation_from_moments
 
 __all__ = ["ESTIMATORS", "faults_of", "paper_fit"]
 
@@ -35,6 +36,8 @@ Moments = Sequence[PairMoments]
 REJECTED_SHARE, ODD, ENOUGH = 0.2, 2.0, 8
 # Fewer matches have no second moments.
 SPREAD = 3
+# Its rotation is good enough for the displacement to follow from epipolar geometry; a biased one would turn into a shift.
+EXACT = "depth-plane"
 
 
 class Turn(NamedTuple):
@@ -117,17 +120,18 @@ def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatA
     faults = tuple(dict.fromkeys((*robust.faults, *(fault.text for fault in diagnosis.faults if fault is not None))))
     try:
         turn = ESTIMATORS[method](Q, moments, robust.rotation)
-        shift, of_shift = translation_from_means(
-            Q, np.array([data[i].center for i in seen]), moments, turn.rotation, center
-        )
+        centers = np.array([data[i].center for i in seen])
+        shift, of_shift = translation_from_means(Q, centers, moments, turn.rotation, center)
+        information = np.zeros((6, 6))
+        information[3:, 3:] = of_shift
+        if method == EXACT:
+            shift, information = translation_from_moments(Q, centers, moments, turn.rotation, center, shift)
     except ValueError:
         # No spread in any camera, or an object behind one: nothing to estimate a turn from.
         return replace(robust, status=Status.TURN_NOT_OBSERVABLE, faults=faults)
-    information = np.zeros((6, 6))
     # Off an optimum (the unconstrained estimate) a Hessian may be negative: nothing is known along there.
     values, vectors = np.linalg.eigh(turn.information)
-    information[:3, :3] = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    information[3:, 3:] = of_shift
+    information[:3, :3] += (vectors * np.maximum(values, 0.0)) @ vectors.T
     return replace(
         robust,
         # What of the turn is not seen, the information shows (`motion.observed`).

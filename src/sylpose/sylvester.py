@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sylpose.moments import PairMoments
-from sylpose.orthographic import checked_rotations, quadratic_of, quadratics_of, views_of
+from sylpose.orthographic import quadratics_of
 from sylpose.results import Status
 from sylpose.so3 import FLAT, STATIONARY, cost_of, derivatives, minimize_batch, multiplier_of
 
@@ -35,7 +35,6 @@ __all__ = [
     "CentralizedSolution",
     "solve_centralized",
     "solve_centralized_batch",
-    "translation_from_means",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -194,59 +193,3 @@ def solve_centralized_batch(
         information=hessian * (q.scale / variance)[:, None, None],
         iterations=found.iterations,
     )
-
-
-def translation_from_means(
-    rotations: ArrayLike, centers: ArrayLike, moments: Sequence[PairMoments], rotation: ArrayLike, center: ArrayLike
-) -> tuple[FloatArray, FloatArray]:
-    """The displacement d of the object's centre from the means of the cameras' matches, given the rotation.
-
-    Weak perspective: all that a camera sees of the object is at the depth Z of the centre g, so its mean point in frame
-    i is s = o + Z Q'(x̄, 1). It turns with the object about g and moves by d, to s_j = g + R (s - g) + d, and is seen at
-    ȳ: with (u, v) = Q (s_j - o), u the first two coordinates, u - ȳ v = 0. That is linear in d; the residuals (u - ȳ v) / Z
-    are image distances, weighted by the matches' count. The visible surface is in truth nearer than g by some
-    ρ: an error of up to ρ times the angle of the turn, per camera, which cameras on opposite sides cancel.
-
-    Args:
-        rotations: (C, 3, 3) Q of camera_from_world.
-        centers: (C, 3) the cameras' centres o in the world.
-        moments: C pair moments of normalised points.
-        rotation: (3, 3) R of the object's motion, world frame.
-        center: (3,) the object's centre g in frame i, world.
-
-    Returns:
-        d: (3,) of least length where a direction is not observable (one camera: along its ray).
-        information: (3, 3) of d, over the larger of two variances: the matches' residual variance about R and, from two
-            cameras on, that which the means' residuals imply. Zero along what is not observable.
-
-    Raises:
-        ValueError: shapes that do not fit, no rotations, no matches, a centre that is not in front of a camera.
-    """
-    Q = checked_rotations(rotations, len(moments))
-    R = checked_rotations(np.asarray(rotation, dtype=float)[None], 1)[0]
-    o, g = np.asarray(centers, dtype=float), np.asarray(center, dtype=float)
-    if o.shape != (len(Q), 3) or g.shape != (3,) or not (np.isfinite(o).all() and np.isfinite(g).all()):
-        raise ValueError(f"centers must be ({len(Q)}, 3) and center (3,), finite; got {o.shape} and {g.shape}")
-    seen = np.array([m.count > 0 for m in moments])
-    if not seen.any():
-        raise ValueError("no camera has matches")
-    depth = np.einsum("ci,ci->c", Q[:, 2], g - o)
-    if (depth[seen] <= 0).any():
-        raise ValueError(f"the object's centre is not in front of camera {int(np.argmax(seen & (depth <= 0)))}")
-    variance = quadratic_of(views_of(Q, moments)).variance(R)
-
-    Q, o, depth = Q[seen], o[seen], depth[seen]
-    used = [m for m, s in zip(moments, seen, strict=True) if s]
-    x = np.array([[*m.mean_x, 1.0] for m in used])
-    y = np.array([[*m.mean_y, 1.0] for m in used])
-    offset = o + depth[:, None] * np.einsum("cji,cj->ci", Q, x) - g
-    # Per camera the two rows [I, -ȳ] Q / Z, times the square root of the weight.
-    weight = np.sqrt([m.count for m in used]) / depth
-    rows = weight[:, None, None] * (Q[:, :2] - y[:, :2, None] * Q[:, 2:])
-    target = np.einsum("cki,ci->ck", rows, o - g - offset @ R.T).ravel()
-    jacobian = rows.reshape(-1, 3)
-    d = np.linalg.lstsq(jacobian, target, rcond=1e-9)[0]
-    if len(used) > 1:
-        residuals = target - jacobian @ d
-        variance = max(variance, float(residuals @ residuals) / (2 * len(used) - 3))
-    return np.asarray(d), np.asarray(jacobian.T @ jacobian / variance)
