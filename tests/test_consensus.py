@@ -23,7 +23,7 @@ from sylpose.consensus import (
 from sylpose.equation import solve_generalized_sylvester
 from sylpose.exchange import exchange_start, exchange_step
 from sylpose.gossip import gossip_start, gossip_step
-from sylpose.messages import Message, decode, encode, read
+from sylpose.messages import Message, decode, encode, newest, read
 from sylpose.moments import PairMoments
 from sylpose.orthographic import quadratic_of, views_of
 from sylpose.sylvester import solve_centralized
@@ -76,17 +76,18 @@ def test_nonsense_is_refused_with_its_reason_and_sender(data: bytes, reason: str
     with pytest.raises(ValueError, match=reason):
         decode(data, 3, (9, 18))
     good = encode(2, Message(7, True, True, np.ones(9)))
-    news, refused = read([(3, data), (2, good)], (9, 18), {}, {})
-    assert list(news) == [2]
+    news, refused = read([(3, data), (2, good)], (9, 18), {})
+    assert list(news) == [(2, 7)]
     assert list(refused) == [3]
     assert refused[3]
 
 
 def test_only_the_newest_message_is_read() -> None:
     inbox = [(1, encode(1, Message(k, True, False, np.full(9, k)))) for k in (4, 6, 5)]
-    assert read(inbox, (9,), {}, {})[0][1].round == 6
-    assert read(inbox, (9,), {}, {1: 5})[0][1].round == 6
-    assert read(inbox, (9,), {}, {1: 6})[0] == {}
+    messages, _ = read(inbox, (9,), {})
+    assert newest(messages, {})[1].round == 6
+    assert newest(messages, {1: 5})[1].round == 6
+    assert newest(messages, {1: 6}) == {}
 
 
 # --- Evidence ---------------------------------------------------------------------------------------------------------
@@ -187,6 +188,23 @@ def test_every_camera_knows_by_itself_that_all_agree_and_how_well() -> None:
         assert angle(state.rotation, reference.rotation) < 1e-8
         assert state.information is not None
         np.testing.assert_allclose(state.information, reference.information, rtol=1e-6, atol=1e-6)
+
+
+def test_it_waits_for_all_and_repeats_what_they_may_lack() -> None:
+    cameras, moments = problem(3, 3)
+    started = [refine_start(c, range(3), cameras[c], moments[c]) for c in range(3)]
+    zero, one = [s for s, _ in started[:2]]
+    data = [out[0].data for _, out in started]
+    waiting, packets = refine_step(zero, [(1, data[1])])  # camera 2 is not heard
+    assert [p.to for p in packets] == [(1, 2)]
+    assert packets[0].data == data[0]
+    ahead, first = refine_step(one, [(0, data[0]), (2, data[2])])
+    waiting, _ = refine_step(waiting, [(1, first[0].data)])  # too early: kept
+    _, packets = refine_step(waiting, [(2, data[2])])
+    _, expected = refine_step(zero, [(1, data[1]), (2, data[2])])
+    assert packets == expected
+    _, packets = refine_step(ahead, [(0, expected[0].data)])  # camera 2 may lack what came before
+    assert [(p.to, p.data) for p in packets] == [((0, 2), first[0].data), ((2,), data[1])]
 
 
 def test_late_overtaken_and_foreign_messages_change_nothing() -> None:

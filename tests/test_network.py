@@ -6,6 +6,7 @@ import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -25,15 +26,17 @@ from test_sylvester import (
     seeds,
 )
 
+from sylpose import estimate_motion, open_session
 from sylpose.consensus import RefineState, refine_start, refine_step
 from sylpose.exchange import exchange_start
+from sylpose.features import Matches, detect, match_features
 from sylpose.gossip import gossip_start
 from sylpose.messages import Inbox, Packet
 from sylpose.moments import PairMoments
 from sylpose.network import Agreement, Faults, Nonsense, run, solve_exchange, solve_gossip, solve_refine
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.simulate import arc, dome, random_motion, ring, simulate_matches
+from sylpose.simulate import arc, dome, ellipsoid, random_motion, ring, simulate_matches
 from sylpose.sylvester import CentralizedSolution, solve_centralized
 
 FloatArray = NDArray[np.float64]
@@ -113,9 +116,12 @@ def test_sixteen_cameras_refine_in_at_most_a_hundred_rounds_of_72_bytes(rig: Rig
     found = solve_refine(*problem)
     check(found, of(problem, range(16)), range(16))
     assert found.rounds <= 100
-    # 8 bytes of header each round; the last ones, when all is settled, say how well the answer is known: 72 bytes more.
-    assert ((found.sent - 80 * (found.rounds + 1)) % 72 == 0).all()
-    assert (found.sent <= 80 * (found.rounds + 1) + 4 * 72).all()
+    # 8 bytes of header each round; the last ones, when all is settled, say how well the answer is known: 72 bytes more. A
+    # leap costs twice those and 40.
+    leap = 2 * 72 + 40
+    more = found.sent - 80 * (found.rounds + 1)
+    assert all(m % 72 == 0 or (m >= leap and (m - leap) % 72 == 0) for m in more)
+    assert (more <= 4 * 72 + leap).all()
 
 
 @given(seeds)
@@ -142,6 +148,59 @@ def test_a_narrow_arc_ends_in_a_minimum_and_says_that_it_may_not_be_the_best(see
     assert found.status is Status.NOT_CERTIFIED
     assert min(angle(found.rotation, other) for other in reference.candidates) < 1e-7
     assert np.linalg.eigvalsh(found.information)[0] > 0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_refine_leaves_the_saddle_of_cameras_that_see_little_depth(seed: int) -> None:
+    """As on real recordings. An arc, a flat body, unequal numbers of matches: between two mirrored minima there is a
+    saddle that is hardly steeper than they, and far from both; ADMM starts there."""
+    rng = np.random.default_rng(seed)
+    rig = arc(4, 38.0)
+    pair = simulate_matches(rig, ellipsoid((0.15, 0.15, 0.05)), random_motion(10.0, 0.02, rng), rng=rng)
+    counts = (60, 20, 40, 10)
+    moments = [PairMoments.from_matches(m.x[:n], m.y[:n]) for m, n in zip(pair.matches, counts, strict=True)]
+    problem = np.array([c.rotation for c in rig]), moments
+    reference, found = of(problem, range(4)), solve_refine(*problem)
+    assert found.converged.all()
+    assert found.rounds <= 100
+    assert angle(found.rotation, reference.rotation) < 1e-8
+    assert found.status is (Status.OK if reference.certified else Status.NOT_CERTIFIED)
+
+
+SHARED = Path(__file__).parents[2] / "shared" / "data" / "temple"
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="the recordings are not here")
+def test_refine_has_the_centralised_answer_on_a_recording() -> None:
+    session, before, n_certified = open_session(SHARED), None, 0
+    for frames in session.frames():
+        now = [detect(i, c) for i, c in zip(frames.images, session.rig, strict=True) if i is not None]
+        if before is not None:
+            pairs = [match_features(a, b) for a, b in zip(before, now, strict=True)]
+            matches = [
+                Matches(a.normalized[p[:, 0]], b.normalized[p[:, 1]])
+                for a, b, p in zip(before, now, pairs, strict=True)
+            ]
+            good = estimate_motion(session.rig, matches).inliers
+            moments = [PairMoments.from_matches(m.x[i], m.y[i]) for m, i in zip(matches, good, strict=True)]
+            problem = np.array([c.rotation for c in session.rig]), moments
+            reference, found = of(problem, range(4)), solve_refine(*problem)
+            n_certified += reference.certified
+            assert found.converged.all()
+            assert found.rounds <= 100
+            if reference.certified:
+                check(found, reference, range(4))
+        before = now
+    assert n_certified > 0
+
+
+@pytest.mark.parametrize("rig", [ring(4), arc(4, 40 / 3)])
+@pytest.mark.parametrize("loss", [0.1, 0.3])
+def test_loss_costs_rounds_and_nothing_else_even_where_plain_admm_crawls(rig: Rig, loss: float) -> None:
+    problem = seen(rig)
+    found, without = solve_refine(*problem, faults=Faults(loss=loss)), solve_refine(*problem)
+    assert found.converged.all()
+    np.testing.assert_array_equal(found.rotations, without.rotations)
 
 
 @schemes

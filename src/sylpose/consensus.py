@@ -12,12 +12,20 @@ V_c = p_c R_c + Y_c, Y_c its multiplier. From the V of all cameras each one comp
 
 ADMM in the form of Douglas & Rachford, over-relaxed. The middle equation is Sylvester's, A_c R B_c + p_c R = C_c + ...
 As the nearest rotation does not depend on scale, penalties may differ and no camera need know another's. Where nothing
-changes any more, R_c = Z for all c and Σ (C_c - A_c Z B_c) = L Z with L = L', the centralised equation, whatever messages
-were lost or late on the way: a camera uses the last V that it knows of each other one.
+changes any more, R_c = Z for all c and Σ (C_c - A_c Z B_c) = L Z with L = L', the centralised equation.
 
-While every camera hears every message, each also knows how all V changed in the last rounds and extrapolates them
-(Anderson), all alike: 25 to 35 rounds instead of 50 and, for views near one plane, of a thousand. The first message
-missed ends that for good.
+All keep step: a camera waits until it has heard everybody's last message and repeats its own meanwhile, so that loss and
+delay cost rounds and change nothing. Each then knows how all V changed in the last steps, and extrapolates them
+(Anderson), all alike: 25 to 35 steps instead of 50 and, for views near one plane, of a thousand.
+
+Extrapolation finds where nothing changes, which may be a saddle; starts halfway between mirrored solutions are often near
+one, and where the cameras see little of the depth it is far from both minima and hardly steeper than they. So where all
+have settled at a saddle, or the extrapolation has led astray, they leap: all tell their Hessians (72 bytes more), then
+their costs along the flattest axis of the sum, which are five numbers each (40 bytes more), and all start again from the
+lowest point of that curve.
+
+A camera that is not heard for long, or comes late, ends the keeping of step for good. The others then go on with the
+last V that they know of each other: any messages lead to the same answer, but as slowly as plain ADMM does.
 
 Nonsense is refused: wrong sizes, values that are not finite or far larger than all others', a rotation that never
 settles. A camera that calmly insists on one false rotation is believed, as one with wrong matches is; that is for
@@ -39,7 +47,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from sylpose.messages import Inbox, Message, Packet, encode, read
+from sylpose.messages import Inbox, Message, Packet, encode, newest, read
 from sylpose.moments import PairMoments
 from sylpose.orthographic import quadratic_of, views_of
 from sylpose.so3 import FLAT, cost_of, derivatives, minimize
@@ -51,11 +59,13 @@ FloatArray = NDArray[np.float64]
 PENALTY = 0.1  # p_c over trace(H_c)
 RELAXATION = 1.6
 MEMORY = 10  # rounds that the extrapolation looks back
-SETTLED = 1e-10  # relative change of a message that is none
+SETTLED = 1e-11  # relative change of a message that is none
 PATIENCE = 20  # rounds of silence after which a camera is gone
-KICK, KICKS = 0.1, 3  # radians, off a saddle; at most so often
+LEAPS = 5  # off a saddle, at most so often
 HUGE = 1e3  # a message this many times the median of all is nonsense
 WANDERING = 0.3  # mean relative change of the messages of a camera that never settles
+
+SIZES = (9, 18, 23)  # V, report, curve
 
 _UPPER = np.triu_indices(3)
 
@@ -99,17 +109,19 @@ class Member(NamedTuple):
     Attributes:
         V: (3, 3) as it enters the mean.
         change: relative change by the last message; wander: its mean over the last ten or so.
-        report: Hessian (6), cost, constant and weight of its evidence at its Z, if it has settled.
-        round: of its newest message. heard: messages so far. silent: rounds without one.
+        report: in its newest message, if it has settled or is to leap: Hessian (6), cost, constant and weight of its
+            evidence at its Z, then the five numbers of `_curve`. Else empty.
+        final: it has settled.
+        round: of its newest message. heard: messages so far.
     """
 
     V: FloatArray
     change: float
     wander: float
-    report: FloatArray | None
+    report: FloatArray
+    final: bool
     round: int
     heard: int
-    silent: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +133,19 @@ class RefineState:
         sent: its last message.
         members: the cameras that take part.
         history: (V, change of V) of the last rounds, all members in order.
-        clean: nobody has missed a message so far.
-        moved: a kick, no step of ADMM, led to `sent`. kicks: how many there were.
+        clean: all keep step.
+        step: steps made: while `clean`, each with everybody's message of the same number.
+        before: the message before `sent`, for those who have not got it yet.
+        waiting: (camera, number) -> message that came and is yet to be used.
+        silent: camera -> rounds since anything was heard of it.
+        astray: the extrapolation has led astray; settled or not, a leap is to come.
+        line: axis (3,) and rotation that the curve in `sent` is of, if there is one.
+        leapt: a leap, no step of ADMM, led to `sent`. leaps: how many there were.
         rotation: (3, 3) Z, the answer so far; None where nobody has evidence.
         information: (3, 3) as in `CentralizedSolution`, from all reports; None until `converged`.
-        converged: all have settled, at a minimum. lingered: rounds since.
+        converged: all have settled, at a minimum. lingered: steps since.
         refused: camera -> why a message was not read, or why nothing is read of it any more (`blocked`).
-        round: steps made, at most `bound`. done: nothing will be sent any more.
+        round: rounds, at most `bound`. done: nothing will be sent any more.
     """
 
     camera: int
@@ -140,8 +158,14 @@ class RefineState:
     members: dict[int, Member] = field(default_factory=dict)
     history: tuple[tuple[FloatArray, FloatArray], ...] = ()
     clean: bool = True
-    moved: bool = False
-    kicks: int = 0
+    step: int = 0
+    before: Message | None = None
+    waiting: dict[tuple[int, int], Message] = field(default_factory=dict)
+    silent: dict[int, int] = field(default_factory=dict)
+    astray: bool = False
+    line: tuple[FloatArray, FloatArray] | None = None
+    leapt: bool = False
+    leaps: int = 0
     rotation: FloatArray | None = None
     information: FloatArray | None = None
     converged: bool = False
@@ -156,9 +180,15 @@ class RefineState:
         """The cameras that the answer is from."""
         return tuple(sorted(self.members))
 
+    @property
+    def missing(self) -> tuple[int, ...]:
+        """Those whose message is needed for the next step and not there; nobody waits for one that talks nonsense."""
+        expected = self.members if self.step else set(self.others) - self.refused.keys()
+        return tuple(c for c in expected if c != self.camera and (c, self.step) not in self.waiting)
+
 
 def refine_start(
-    camera: int, others: Iterable[int], rotation: ArrayLike, moments: PairMoments, *, aim: bool = True, bound: int = 300
+    camera: int, others: Iterable[int], rotation: ArrayLike, moments: PairMoments, *, aim: bool = True, bound: int = 500
 ) -> tuple[RefineState, list[Packet]]:
     """A camera and its first message: its own solution, or rather the mean of the two mirrored ones that one camera
     cannot tell apart.
@@ -185,87 +215,114 @@ def refine_start(
 
 
 def refine_step(state: RefineState, inbox: Inbox) -> tuple[RefineState, list[Packet]]:
-    """Hear the others, take one step of ADMM, say where one is."""
-    s = _without_strays(_updated(state, inbox))
+    """Hear the others; once all have been heard, take one step; say where one is."""
+    s, news = _awaited(replace(state, round=state.round + 1), inbox)
+    if news is None:
+        over = s.converged and all(s.silent[c] > PATIENCE for c in s.missing)
+        return replace(s, done=over or s.round >= s.bound), _packets(s, again=s.missing)
+    s = _without_strays(_updated(s, news))
+    s = replace(s, step=s.step + 1, before=s.sent)
     V = s.members[s.camera].V
     total = np.sum([m.V for m in s.members.values()], axis=0)
     if not total.any():
-        s = replace(s, rotation=None, converged=False, round=s.round + 1, done=s.round + 1 >= s.bound)
-        s = replace(s, sent=Message(s.round, s.clean, False, V.ravel()))
+        s = replace(s, rotation=None, converged=False, done=s.round >= s.bound)
+        s = replace(s, sent=Message(s.step, s.clean, False, V.ravel()))
         return s, _packets(s)
     Z = _nearest_rotation(total)
     R = (s.gain @ (s.evidence.h + (2 * s.penalty * Z - V).ravel())).reshape(3, 3)  # times p
     V = V + RELAXATION * (R - s.penalty * Z)
     # A camera that hears nobody waits: the others may only be late.
     settled = max(m.change for m in s.members.values()) < SETTLED and (len(s.members) > 1 or s.round > PATIENCE)
-    report = _report(s.evidence, Z)
-    reports = [report if c == s.camera else m.report for c, m in s.members.items()]
-    known = [r for r in reports if r is not None]
-    information, moved = None, False
-    if settled and len(known) == len(reports):
-        hessian, cost, constant, weight = _unpacked(np.sum(known, axis=0))
+    own = _report(s.evidence, Z) if settled or s.astray else np.zeros(0)
+    reports = {c: own if c == s.camera else m.report for c, m in s.members.items()}
+    information, line, leap = None, None, False
+    if all(r.size for r in reports.values()):
+        hessian, cost, constant, weight = _unpacked(np.sum([r[:9] for r in reports.values()], axis=0))
         curvature, axes = np.linalg.eigh(hessian)
-        if curvature[0] > -FLAT * curvature[2] and weight > 0:
+        if settled and curvature[0] > -FLAT * curvature[2] and weight > 0:
             information = _information(hessian, cost, constant, weight)
-        elif s.kicks < KICKS:  # a saddle: all go the same way
-            moved = True
-            axis = axes[:, 0] * np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0])
-            V = V + s.penalty * (Rotation.from_rotvec(KICK * axis).as_matrix() @ Z - Z)
-    final = settled and not moved
+        elif s.leaps < LEAPS:
+            line = (axes[:, 0], Z)
+            own = np.concatenate([own, _curve(s.evidence, *line)])
+            leap = s.line is not None and all(r.size > 9 for c, r in reports.items() if c != s.camera)
+    if leap and s.line is not None:
+        curves = [s.sent.values[18:] if c == s.camera else r[9:] for c, r in reports.items()]
+        Z = _lowest(np.sum(curves, axis=0), *s.line)
+        V = s.penalty * Z - (s.evidence.H @ Z.ravel() - s.evidence.h).reshape(3, 3)
+        own, line = np.zeros(0), None
     converged = information is not None
     lingered = s.lingered + 1 if converged else 0
     s = replace(
         s,
-        sent=Message(s.round + 1, s.clean, final, np.concatenate([V.ravel(), report]) if final else V.ravel()),
-        moved=moved,
-        kicks=s.kicks + moved,
+        sent=Message(s.step, s.clean, settled and line is None and not leap, np.concatenate([V.ravel(), own])),
+        astray=s.astray and not leap,
+        line=line,
+        leapt=leap,
+        leaps=s.leaps + leap,
         rotation=Z,
         information=information,
         converged=converged,
         lingered=lingered,
-        round=s.round + 1,
-        # The last message may get lost: it is repeated, for much longer where messages do get lost.
-        done=s.round + 1 >= s.bound or lingered > (2 if s.clean else PATIENCE),
+        # Out of step, the last message may get lost: it is repeated.
+        done=s.round >= s.bound or lingered > PATIENCE,
     )
     return s, _packets(s)
 
 
-def _packets(s: RefineState) -> list[Packet]:
-    return [Packet(s.others, encode(s.camera, s.sent))] if s.others else []
+def _packets(s: RefineState, again: Iterable[int] = ()) -> list[Packet]:
+    """Its message; to those who may lack it, the one before again."""
+    packets = [Packet(s.others, encode(s.camera, s.sent))] if s.others else []
+    late = tuple(again)
+    return [*packets, Packet(late, encode(s.camera, s.before))] if late and s.before is not None else packets
 
 
-def _updated(s: RefineState, inbox: Inbox) -> RefineState:
-    """With what all have sent, this camera included; extrapolated while all know all."""
+def _awaited(s: RefineState, inbox: Inbox) -> tuple[RefineState, dict[int, Message] | None]:
+    """What the next step is to be made with; None: no step yet, or never again."""
     inbox = [(c, data) for c, data in inbox if c in s.others and c not in s.blocked]
-    news, refused = read(inbox, (9, 18), s.refused, {c: m.round for c, m in s.members.items()})
-    news[s.camera] = s.sent
+    news, refused = read(inbox, SIZES, s.refused)
+    silent = {c: 0 if any(c == k for k, _ in news) else s.silent.get(c, 0) + 1 for c in s.others}
+    waiting = {key: m for key, m in {**s.waiting, **news}.items() if key[1] >= s.step}
+    s = replace(s, refused=refused, silent=silent, waiting=waiting)
+    broken = any(n > s.step + 1 or not m.clean or (s.step and c not in s.members) for (c, n), m in waiting.items())
+    if s.clean and not broken:
+        if s.converged or any(silent[c] <= PATIENCE for c in s.missing):
+            return s, None
+        return s, {c: m for (c, n), m in waiting.items() if n == s.step}
+    seen = {c: m.round for c, m in s.members.items()}
+    return replace(s, waiting={}), newest({**waiting, **news}, seen)
+
+
+def _updated(s: RefineState, news: dict[int, Message]) -> RefineState:
+    """With what all have sent, this camera included; extrapolated while all know all."""
+    news, refused = {**news, s.camera: s.sent}, dict(s.refused)
     size = {c: float(np.linalg.norm(m.values[:9])) for c, m in news.items()}
     usual = np.median([v for v in size.values() if v > 0] or [0.0])
     for c in news.keys() - {s.camera}:
-        if size[c] > HUGE * usual or (news[c].values[15:] < 0).any():
+        if size[c] > HUGE * usual or (news[c].values[15:18] < 0).any():
             refused.setdefault(c, "values that no camera has")
             del news[c]
     # Who has settled may be silent: its last message was final.
-    members = {
-        c: m._replace(silent=m.silent + 1) for c, m in s.members.items() if m.silent < PATIENCE or m.report is not None
-    }
+    members = {c: m for c, m in s.members.items() if s.silent.get(c, 0) <= PATIENCE or m.final}
     for c, message in news.items():
         V, old = message.values[:9].reshape(3, 3), s.members.get(c)
         change = 1.0 if old is None else float(np.linalg.norm(V - old.V)) / (size[c] or 1.0)
         wander = change if old is None else 0.9 * old.wander + 0.1 * change
-        report = message.values[9:] if message.values.size > 9 else None
-        members[c] = Member(V, change, wander, report, message.round, 1 if old is None else old.heard + 1, 0)
+        heard = 1 if old is None else old.heard + 1
+        members[c] = Member(V, change, wander, message.values[9:], message.final, message.round, heard)
     members = dict(sorted(members.items()))  # sums come out the same at every camera
-    # The first round makes all acquainted; from then on all must be heard in every one.
-    expected = news.keys() if s.round == 0 else s.members.keys()
-    clean = news.keys() == expected and all(m.clean and m.round == s.round for m in news.values())
-    s = replace(s, refused=refused, clean=s.clean and clean)
+    # The first step makes all acquainted; from then on all must be heard in every one.
+    expected = news.keys() if s.step == 0 else s.members.keys()
+    clean = news.keys() == expected and all(m.clean and m.round == s.step for m in news.values())
+    s = replace(s, refused=refused, clean=s.clean and clean, astray=s.astray and s.clean and clean)
     history: tuple[tuple[FloatArray, FloatArray], ...] = ()
-    if s.clean and s.round > 0 and not s.moved:
+    if s.clean and s.step > 0 and not s.leapt:
         V = np.array([s.members[c].V for c in members])
         step = np.array([m.V for m in members.values()]) - V
-        if s.history and np.linalg.norm(step) < 2 * min(np.linalg.norm(f) for _, f in s.history):
-            history = s.history  # else it led astray
+        if s.history:
+            if np.linalg.norm(step) < 2 * min(np.linalg.norm(f) for _, f in s.history):
+                history = s.history
+            elif s.leaps < LEAPS:
+                s = replace(s, astray=True)
         history = (*history, (V, step))[-MEMORY - 1 :]
         V = _extrapolated(history)
         members = {c: m._replace(V=v) for (c, m), v in zip(members.items(), V, strict=True)}
@@ -311,6 +368,24 @@ def _report(e: Evidence, rotation: FloatArray) -> FloatArray:
     hessian = derivatives(e.H, e.h, rotation)[1]
     cost = max(float(cost_of(e.H, e.h, rotation)) + e.constant, 0.0)
     return np.array([*hessian[_UPPER], cost, e.constant, e.weight])
+
+
+def _curve(e: Evidence, axis: FloatArray, rotation: FloatArray) -> FloatArray:
+    """(5,) of the cost at exp(a axis) R: the coefficients of 1, cos a, sin a, cos 2a, sin 2a, which is all there is."""
+    angles = np.asarray(2 * np.pi / 5 * np.arange(5), dtype=float)
+    costs = cost_of(e.H, e.h, Rotation.from_rotvec(angles[:, None] * axis).as_matrix() @ rotation)
+    return np.asarray(np.linalg.solve(_waves(angles), costs), dtype=float)
+
+
+def _lowest(curve: FloatArray, axis: FloatArray, rotation: FloatArray) -> FloatArray:
+    """(3, 3) the rotation at the lowest point of a curve."""
+    angles = np.linspace(-np.pi, np.pi, 1001)
+    lowest = angles[np.argmin(_waves(angles) @ curve)]
+    return np.asarray(Rotation.from_rotvec(lowest * axis).as_matrix() @ rotation)
+
+
+def _waves(a: FloatArray) -> FloatArray:
+    return np.column_stack([np.ones_like(a), np.cos(a), np.sin(a), np.cos(2 * a), np.sin(2 * a)])
 
 
 def _unpacked(report: FloatArray) -> tuple[FloatArray, float, float, float]:

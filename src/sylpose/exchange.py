@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sylpose.messages import Inbox, Message, Packet, encode, read
+from sylpose.messages import Inbox, Message, Packet, encode, newest, read
 from sylpose.moments import PairMoments
 from sylpose.orthographic import checked_rotations
 from sylpose.sylvester import solve_centralized
@@ -75,9 +75,9 @@ def exchange_start(
 def exchange_step(state: ExchangeState, inbox: Inbox) -> tuple[ExchangeState, list[Packet]]:
     """Hear the others; send one's moments again, or solve when all rounds are over."""
     s = state
-    news, refused = read([(c, data) for c, data in inbox if c != s.camera], (45,), s.refused, {})
+    messages, refused = read([(c, data) for c, data in inbox if c != s.camera], (45,), s.refused)
     heard = dict(s.heard)
-    for c, message in news.items():
+    for c, message in newest(messages, {}).items():
         try:
             if not 0 <= c < len(s.rotations):
                 raise ValueError("no camera of the rig")

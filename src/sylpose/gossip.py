@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import shortest_path
 
 from sylpose.consensus import PATIENCE, Evidence, evidence_of
-from sylpose.messages import Inbox, Message, Packet, encode, read
+from sylpose.messages import Inbox, Message, Packet, encode, newest, read
 from sylpose.moments import PairMoments
 from sylpose.so3 import minimize
 
@@ -145,7 +145,8 @@ def gossip_step(state: GossipState, inbox: Inbox) -> tuple[GossipState, list[Pac
     """Hear the neighbours, mend the mean, say what it is; solve when all is still."""
     s = state
     inbox = [(c, data) for c, data in inbox if c in s.neighbours]
-    news, refused = read(inbox, (56,), s.refused, {c: e.round for c, e in s.edges.items()})
+    messages, refused = read(inbox, (56,), s.refused)
+    news = newest(messages, {c: e.round for c, e in s.edges.items()})
     edges, change = {}, 0.0
     for c in sorted({*s.edges, *news}):
         old, message = s.edges.get(c), news.get(c)

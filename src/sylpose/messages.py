@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["HEADER", "Inbox", "Message", "Packet", "decode", "encode", "read"]
+__all__ = ["HEADER", "Inbox", "Message", "Packet", "decode", "encode", "newest", "read"]
 
 FloatArray = NDArray[np.float64]
 Inbox = Sequence[tuple[int, bytes]]  # (the camera that a link leads to, what came over it)
@@ -30,7 +30,7 @@ class Message(NamedTuple):
 
     Attributes:
         round: the sender's.
-        clean: the sender has missed no message so far.
+        clean: the sender has missed no message so far; in `refine`, keeps step.
         final: the sender has settled.
         values: (n,) float64.
     """
@@ -68,10 +68,10 @@ def decode(data: bytes, sender: int, sizes: tuple[int, ...]) -> Message:
 
 
 def read(
-    inbox: Inbox, sizes: tuple[int, ...], refused: Mapping[int, str], seen: Mapping[int, int]
-) -> tuple[dict[int, Message], dict[int, str]]:
-    """Of each camera the newest message that is newer than what was `seen` of it, and whom to refuse, and why."""
-    news: dict[int, Message] = {}
+    inbox: Inbox, sizes: tuple[int, ...], refused: Mapping[int, str]
+) -> tuple[dict[tuple[int, int], Message], dict[int, str]]:
+    """The messages by sender and round, and whom to refuse, and why."""
+    news: dict[tuple[int, int], Message] = {}
     refused = dict(refused)
     for sender, data in inbox:
         try:
@@ -79,6 +79,10 @@ def read(
         except ValueError as error:
             refused.setdefault(sender, str(error))
             continue
-        if message.round > max(seen.get(sender, -1), news[sender].round if sender in news else -1):
-            news[sender] = message
+        news[sender, message.round] = message
     return news, refused
+
+
+def newest(messages: Mapping[tuple[int, int], Message], seen: Mapping[int, int]) -> dict[int, Message]:
+    """Of each camera the newest message, if it is newer than what was `seen` of it."""
+    return {c: messages[c, n] for c, n in sorted(messages) if n > seen.get(c, -1)}

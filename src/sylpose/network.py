@@ -154,7 +154,7 @@ def solve_refine(
     moments: Sequence[PairMoments],
     *,
     aim: bool = True,
-    bound: int = 300,
+    bound: int = 500,
     faults: Faults = NO_FAULTS,
 ) -> Agreement:
     """The paper's scheme: cameras send rotations, in up to `bound` rounds. Arguments and errors as `solve_exchange`."""
