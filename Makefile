@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint format bench bench-tracking clean
+.PHONY: demo test lint format bench bench-tracking bench-paper clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("sylpose needs Python 3.11 or newer; set PYTHON=...") if sys.version_info < (3, 11) else None'
@@ -39,6 +39,14 @@ bench: $(VENV)/.installed-bench
 # About an hour, most of it rendering, the peers and the two long ones; parts of it: `benchmarks/tracking.py --help`.
 bench-tracking: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/tracking.py --compare benchmarks/tracking_baseline.json
+
+# About 15 minutes: the paper's estimators.
+bench-paper: $(VENV)/.installed
+	$(BIN)/python benchmarks/paper_times.py
+	$(BIN)/python benchmarks/equations.py
+	$(BIN)/python benchmarks/depth_plane.py
+	$(BIN)/python benchmarks/consensus.py --seeds 2
+	$(BIN)/python benchmarks/sensors.py --scenes 20 --turns 10
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .
