@@ -12,12 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.rig import Rig
-from sylpose.simulate import SimulatedPair, random_motion, ring, simulate_matches
+from sylpose.simulate import SimulatedPair, arc, random_motion, ring, simulate_matches
 from sylpose.translation import translation_from_means, translation_from_moments
 
 FloatArray = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 quick = settings(max_examples=25, deadline=None)
+# A first guess that knows nothing.
+NOTHING = np.zeros(3), np.zeros((3, 3))
 
 
 def random_rotations(rng: np.random.Generator, n: int) -> FloatArray:
@@ -135,7 +137,7 @@ def test_epipolar_displacement_is_exact_without_noise_wherever_the_surface_is(n:
     rig = around(n) if n > 2 else Rig(around(4).cameras[:2])
     pair, moments, expected = scene(rig, seed, 0.0)
     R = pair.motion.rotation.as_matrix()
-    d, information = translation_from_moments(*of_rig(rig), moments, R, pair.center, np.zeros(3))
+    d, information = translation_from_moments(*of_rig(rig), moments, R, pair.center, *NOTHING)
     np.testing.assert_allclose(d, expected, atol=1e-7)
     np.testing.assert_allclose(information, information.T)
 
@@ -146,8 +148,8 @@ def test_it_is_far_better_than_the_means_on_a_surface() -> None:
     for seed in range(12):
         pair, moments, expected = scene(rig, seed, 0.5, 15.0)
         R = pair.motion.rotation.as_matrix()
-        start, _ = translation_from_means(*of_rig(rig), moments, R, pair.center)
-        d, _ = translation_from_moments(*of_rig(rig), moments, R, pair.center, start)
+        start, prior = translation_from_means(*of_rig(rig), moments, R, pair.center)
+        d, _ = translation_from_moments(*of_rig(rig), moments, R, pair.center, start, prior)
         by_means.append(np.linalg.norm(start - expected))
         by_moments.append(np.linalg.norm(d - expected))
     assert 3 * np.median(by_moments) < np.median(by_means)
@@ -161,7 +163,7 @@ def test_information_agrees_with_sampling_and_knows_what_an_error_of_the_rotatio
         pair, moments, expected = scene(rig, seed, 0.5)
         off = sd * rng.standard_normal(3)
         R = Rotation.from_rotvec(off).as_matrix() @ pair.motion.rotation.as_matrix()
-        d, information = translation_from_moments(*of_rig(rig), moments, R, pair.center, np.zeros(3))
+        d, information = translation_from_moments(*of_rig(rig), moments, R, pair.center, *NOTHING)
         covariance = np.linalg.inv(information + np.diag([sd**-2] * 3 + [0.0] * 3))[3:, 3:]
         normalised.append((d - expected) @ np.linalg.solve(covariance, d - expected))
     assert 2.0 < np.mean(normalised) < 4.5  # three unknowns
@@ -172,22 +174,47 @@ def test_the_frame_and_silent_cameras_do_not_matter() -> None:
     pair, moments, _ = scene(rig, 1, 0.5)
     Q, o = of_rig(rig)
     R, g = pair.motion.rotation.as_matrix(), pair.center
-    d, information = translation_from_moments(Q, o, moments, R, g, np.zeros(3))
+    d, information = translation_from_moments(Q, o, moments, R, g, *NOTHING)
     more = translation_from_moments(
-        np.concatenate([Q, Q[:1]]), [*o, g + 9], [*moments, PairMoments.zero()], R, g, np.zeros(3)
+        np.concatenate([Q, Q[:1]]), [*o, g + 9], [*moments, PairMoments.zero()], R, g, *NOTHING
     )
     np.testing.assert_allclose(more[0], d, atol=1e-9)
     new, shift = Rotation.from_rotvec([0.4, -1.0, 0.3]).as_matrix(), np.array([1.0, -2.0, 0.5])
-    turned = translation_from_moments(
-        Q @ new.T, o @ new.T + shift, moments, new @ R @ new.T, new @ g + shift, np.zeros(3)
-    )
+    turned = translation_from_moments(Q @ new.T, o @ new.T + shift, moments, new @ R @ new.T, new @ g + shift, *NOTHING)
     np.testing.assert_allclose(turned[0], new @ d, atol=1e-7)
     both = np.kron(np.eye(2), new)
     np.testing.assert_allclose(turned[1], both @ information @ both.T, rtol=1e-3, atol=1e-4 * information.max())
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 10.0, 60.0])
+def test_one_camera_stays_where_the_means_put_it(turn_deg: float) -> None:
+    """Epipolar geometry of one camera says nothing of how far the object moved, and nothing of any if it did not turn."""
+    rig = Rig(around(4).cameras[:1])
+    for seed in range(4):
+        pair, moments, expected = scene(rig, seed, 0.5, turn_deg)
+        R = pair.motion.rotation.as_matrix()
+        start, prior = translation_from_means(*of_rig(rig), moments, R, pair.center)
+        d, information = translation_from_moments(*of_rig(rig), moments, R, pair.center, start, prior)
+        assert np.linalg.norm(d - expected) < 0.1 * (0.1 + np.deg2rad(turn_deg))
+        assert np.isfinite(information).all()
+    still = [PairMoments.from_matches(m.x, m.x) for m in pair.matches]
+    d, information = translation_from_moments(*of_rig(rig), still, np.eye(3), pair.center, *NOTHING)
+    assert np.abs(d).max() < 1e-9
+    assert np.isfinite(information).all()
+
+
+def test_the_means_know_that_a_surface_is_nearer_than_the_centre() -> None:
+    rig = arc(4, 15.0)
+    normalised = []
+    for seed in range(40):
+        pair, moments, expected = scene(rig, seed, 0.5, 10.0)
+        d, information = translation_from_means(*of_rig(rig), moments, pair.motion.rotation.as_matrix(), pair.center)
+        normalised.append((d - expected) @ information @ (d - expected))
+    assert np.mean(normalised) < 6.0  # three unknowns
 
 
 def test_a_bad_start_is_refused() -> None:
     rig = ring(2)
     pair, moments, _ = scene(rig, 0, 0.5)
     with pytest.raises(ValueError, match=r"start must be \(3,\)"):
-        translation_from_moments(*of_rig(rig), moments, np.eye(3), pair.center, [np.nan, 0, 0])
+        translation_from_moments(*of_rig(rig), moments, np.eye(3), pair.center, [np.nan, 0, 0], np.zeros((3, 3)))

@@ -22,7 +22,7 @@ from sylpose.network import Agreement, solve_exchange, solve_gossip, solve_refin
 from sylpose.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
 from sylpose.results import Status
 from sylpose.sensors import diagnose, suspect_cameras
-from sylpose.sylvester import solve_centralized
+from sylpose.sylvester import UNSEEN_TURN, solve_centralized
 from sylpose.terms import TermData
 from sylpose.translation import translation_from_means, translation_from_moments
 
@@ -36,31 +36,41 @@ Moments = Sequence[PairMoments]
 REJECTED_SHARE, ODD, ENOUGH = 0.2, 2.0, 8
 # Fewer matches have no second moments.
 SPREAD = 3
-# Its rotation is good enough for the displacement to follow from epipolar geometry; a biased one would turn into a shift.
-EXACT = "depth-plane"
 
 
 class Turn(NamedTuple):
-    """What an estimator says: R (3, 3), information (3, 3) of w, R = exp(w) R̂, and the iterations or rounds it took."""
+    """What an estimator says.
+
+    Attributes:
+        rotation: (3, 3) R.
+        information: (3, 3) of w, R = exp(w) R̂.
+        iterations: or rounds.
+        unbiased: the displacement may follow from epipolar geometry; a bias of the rotation would turn into a shift.
+    """
 
     status: Status
     rotation: FloatArray
     information: FloatArray
     iterations: int
+    unbiased: bool = False
 
 
-def _sylvester(Q: FloatArray, moments: Moments, _: FloatArray) -> Turn:
+def _sylvester(Q: FloatArray, moments: Moments, guess: FloatArray) -> Turn:
+    if len(Q) == 1:
+        return ESTIMATORS["one-camera"](Q, moments, guess)
     s = solve_centralized(Q, moments)
     return Turn(s.status, s.rotation, s.information, s.iterations)
 
 
 def _depth_plane(Q: FloatArray, moments: Moments, _: FloatArray) -> Turn:
     s = solve_depth_plane(Q, moments)
-    return Turn(s.status, s.rotation, s.information, s.iterations)
+    return Turn(s.status, s.rotation, s.information, s.iterations, unbiased=True)
 
 
 def _distributed(solve: Callable[[FloatArray, Moments], Agreement]) -> Estimator:
-    def agree(Q: FloatArray, moments: Moments, _: FloatArray) -> Turn:
+    def agree(Q: FloatArray, moments: Moments, guess: FloatArray) -> Turn:
+        if len(Q) == 1:
+            return ESTIMATORS["one-camera"](Q, moments, guess)
         s = solve(Q, moments)
         return Turn(s.status, s.rotation, s.information, s.rounds)
 
@@ -122,27 +132,38 @@ def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatA
         turn = ESTIMATORS[method](Q, moments, robust.rotation)
         centers = np.array([data[i].center for i in seen])
         shift, of_shift = translation_from_means(Q, centers, moments, turn.rotation, center)
-        information = np.zeros((6, 6))
-        information[3:, 3:] = of_shift
-        if method == EXACT:
-            shift, information = translation_from_moments(Q, centers, moments, turn.rotation, center, shift)
+        known, believed = np.zeros((6, 6)), np.zeros((6, 6))
+        if turn.unbiased:
+            believed[3:, 3:] = of_shift
+            shift, known = translation_from_moments(Q, centers, moments, turn.rotation, center, shift, of_shift)
+        else:
+            known[3:, 3:] = of_shift
     except ValueError:
         # No spread in any camera, or an object behind one: nothing to estimate a turn from.
         return replace(robust, status=Status.TURN_NOT_OBSERVABLE, faults=faults)
-    # Off an optimum (the unconstrained estimate) a Hessian may be negative: nothing is known along there.
-    values, vectors = np.linalg.eigh(turn.information)
-    information[:3, :3] += (vectors * np.maximum(values, 0.0)) @ vectors.T
+    known[:3, :3] += _seen(turn)
     return replace(
         robust,
-        # What of the turn is not seen, the information shows (`motion.observed`).
+        # What of the turn is not seen, `motion.observed` says: the information knows nothing of it.
         status=Status.OK if turn.status is Status.TURN_NOT_OBSERVABLE else turn.status,
         rotation=turn.rotation,
         shift=shift,
-        information=information,
-        information_without_depth=information,
+        information=known + believed,
+        information_without_depth=known,
         iterations=robust.iterations + turn.iterations,
         faults=faults,
     )
+
+
+def _seen(turn: Turn) -> FloatArray:
+    """(3, 3) the information of the turn, without the directions that the estimator says it has not seen."""
+    values, vectors = np.linalg.eigh(turn.information)
+    # Off an optimum (the unconstrained estimate) a Hessian may be negative.
+    values = np.maximum(values, 0.0)
+    if turn.status is Status.TURN_NOT_OBSERVABLE:
+        values[0] = 0.0
+        values[values < 1 / UNSEEN_TURN**2] = 0.0
+    return np.asarray((vectors * values) @ vectors.T)
 
 
 def faults_of(data: Sequence[TermData], fit: Fit, names: Sequence[str]) -> dict[int, str]:

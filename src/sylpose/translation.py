@@ -22,6 +22,8 @@ FloatArray = NDArray[np.float64]
 
 # Step of the numerical derivative by the rotation, radians.
 STEP = 1e-6
+# Rounds in which the noise's variance, which the prior is weighed against, is found.
+VARIANCES = 3
 
 
 def translation_from_means(
@@ -32,8 +34,8 @@ def translation_from_means(
     Weak perspective: all that a camera sees of the object is at the depth Z of the centre g, so its mean point in frame
     i is s = o + Z Q'(x̄, 1). It turns with the object about g and moves by d, to s_j = g + R (s - g) + d, and is seen at
     ȳ: with (u, v) = Q (s_j - o), u the first two coordinates, u - ȳ v = 0. That is linear in d; the residuals (u - ȳ v) / Z
-    are image distances, weighted by the matches' count. The visible surface is in truth nearer than g by some
-    ρ: an error of up to ρ times the angle of the turn, per camera, which cameras on opposite sides cancel.
+    are image distances. The visible surface is in truth nearer than g by some ρ: an error of up to ρ times the angle of the
+    turn, per camera, which cameras on opposite sides cancel. With ρ of the size of what is seen, it counts as noise.
 
     Args:
         rotations: (C, 3, 3) Q of camera_from_world.
@@ -44,33 +46,33 @@ def translation_from_means(
 
     Returns:
         d: (3,) of least length where a direction is not observable (one camera: along its ray).
-        information: (3, 3) of d, over the larger of two variances: the matches' residual variance about R and, from two
-            cameras on, that which the means' residuals imply. Zero along what is not observable.
+        information: (3, 3) of d, by the matches' residual variance about R and the error by the surface; less, from two
+            cameras on, where the means' residuals are larger. Zero along what is not observable.
 
     Raises:
         ValueError: shapes that do not fit, no rotations, no matches, a centre that is not in front of a camera.
     """
     Q, o, R, g, seen = _checked(rotations, centers, moments, rotation, center)
-    depth = np.einsum("ci,ci->c", Q[:, 2], g - o)
-    if (depth[seen] <= 0).any():
-        raise ValueError(f"the object's centre is not in front of camera {int(np.argmax(seen & (depth <= 0)))}")
     variance = quadratic_of(views_of(Q, moments)).variance(R)
-
-    Q, o, depth = Q[seen], o[seen], depth[seen]
+    Q, o = Q[seen], o[seen]
     used = [m for m, s in zip(moments, seen, strict=True) if s]
+    depth = np.einsum("ci,ci->c", Q[:, 2], g - o)
     x = np.array([[*m.mean_x, 1.0] for m in used])
     y = np.array([[*m.mean_y, 1.0] for m in used])
     offset = o + depth[:, None] * np.einsum("cji,cj->ci", Q, x) - g
-    # Per camera the two rows [I, -ȳ] Q / Z, times the square root of the weight.
-    weight = np.sqrt([m.count for m in used]) / depth
+    # Per camera the two rows [I, -ȳ] Q / Z, over their standard deviation.
+    spread = np.array([np.trace(m.s_xx) / m.count for m in used])
+    by_surface = spread * Rotation.from_matrix(R).magnitude() ** 2
+    weight = 1 / (depth * np.sqrt(variance / np.array([m.count for m in used]) + by_surface))
     rows = weight[:, None, None] * (Q[:, :2] - y[:, :2, None] * Q[:, 2:])
     target = np.einsum("cki,ci->ck", rows, o - g - offset @ R.T).ravel()
     jacobian = rows.reshape(-1, 3)
     d = np.linalg.lstsq(jacobian, target, rcond=1e-9)[0]
+    excess = 1.0
     if len(used) > 1:
         residuals = target - jacobian @ d
-        variance = max(variance, float(residuals @ residuals) / (2 * len(used) - 3))
-    return np.asarray(d), np.asarray(jacobian.T @ jacobian / variance)
+        excess = max(excess, float(residuals @ residuals) / (2 * len(used) - 3))
+    return np.asarray(d), np.asarray(jacobian.T @ jacobian / excess)
 
 
 def translation_from_moments(
@@ -80,29 +82,29 @@ def translation_from_moments(
     rotation: ArrayLike,
     center: ArrayLike,
     start: ArrayLike,
+    prior: ArrayLike,
 ) -> tuple[FloatArray, FloatArray]:
     """The displacement d of the object's centre from the epipolar geometry of all matches, given the rotation.
 
     With E_c = [t_c]x R_c, t_c = Q (t + (R - I) o), t = g + d - R g, the sum over the cameras of vec(E)' M vec(E) / g_c,
-    g_c Sampson's denominator at the mean rays, is minimised over d alone (docs/method.md, "Two frames"). Nothing is
-    believed of the surface's depth, so it is as good as the rotation, and its length comes from the turn: a small
-    turn leaves it open.
+    g_c Sampson's denominator at the mean rays, is minimised over d alone (docs/method.md, "Two frames"). It is as good as
+    the rotation. Its length comes from the turn: where that is small, or all cameras are one, the first guess decides.
 
     Args:
         rotations, centers, moments, rotation, center: as in `translation_from_means`.
-        start: (3,) a first guess of d.
+        start, prior: (3,) a first guess of d and its (3, 3) information: of `translation_from_means`.
 
     Returns:
         d: (3,).
-        information: (6, 6) of (w, d), without what is known of w itself: to it, the information of the rotation is added.
+        information: (6, 6) of (w, d) by these residuals alone: that of the rotation, and the prior, add to it.
 
     Raises:
-        ValueError: as `translation_from_means`; a start that is not (3,) and finite.
+        ValueError: as `translation_from_means`; a start or a prior of another shape, or not finite.
     """
     Q, o, R, g, seen = _checked(rotations, centers, moments, rotation, center)
-    first = np.asarray(start, dtype=float)
-    if first.shape != (3,) or not np.isfinite(first).all():
-        raise ValueError(f"start must be (3,) and finite, got shape {first.shape}")
+    first, known = np.asarray(start, dtype=float), np.asarray(prior, dtype=float)
+    if first.shape != (3,) or known.shape != (3, 3) or not (np.isfinite(first).all() and np.isfinite(known).all()):
+        raise ValueError(f"start must be (3,) and prior (3, 3), finite; got shapes {first.shape} and {known.shape}")
     Q, o = Q[seen], o[seen]
     used = [m for m, s in zip(moments, seen, strict=True) if s]
     x = np.array([[*m.mean_x, 1.0] for m in used])
@@ -115,18 +117,30 @@ def translation_from_moments(
         E = np.cross(np.eye(3), np.einsum("cij,cj->ci", Q, t)[:, None, :]) @ (Q @ turned @ np.swapaxes(Q, 1, 2))
         lines = np.einsum("cij,cj->ci", E, x)[:, :2], np.einsum("cji,cj->ci", E, y)[:, :2]
         sampson = sum((line**2).sum(axis=1) for line in lines)
-        return np.asarray(np.einsum("cki,ck->ci", roots, E.reshape(-1, 9)) / np.sqrt(sampson)[:, None]).ravel()
+        # Without any motion both vanish.
+        distances = np.einsum("cki,ck->ci", roots, E.reshape(-1, 9)) / np.sqrt(np.maximum(sampson, 1e-24))[:, None]
+        return np.asarray(distances.ravel())
 
     # Any length will do for the steps: that of the cameras' distances makes them of the size of angles.
     scale = float(np.median(np.linalg.norm(o - g, axis=1)))
-    found = least_squares(residuals, first, x_scale=scale, method="lm", args=(R,), max_nfev=200)
-    by_turn = [
-        (residuals(found.x, Rotation.from_rotvec(w).as_matrix() @ R) - found.fun) / STEP for w in STEP * np.eye(3)
-    ]
-    jacobian = np.column_stack([*by_turn, found.jac])
     freedom = max(sum(m.count for m in used) - 6, 1.0)
-    variance = max(2 * float(found.cost) / freedom, 1e-24)
-    return np.asarray(found.x), np.asarray(jacobian.T @ jacobian / variance)
+    variance = quadratic_of(views_of(Q, used)).variance(R)
+    d = first
+    # The variance is not known before the fit.
+    for _ in range(VARIANCES):
+        values, vectors = np.linalg.eigh(known * variance)
+        toward = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+
+        def both(d: FloatArray, toward: FloatArray = toward) -> FloatArray:
+            return np.concatenate([residuals(d, R), toward @ (d - first)])
+
+        found = least_squares(both, d, x_scale=scale, method="lm", max_nfev=200)
+        d = found.x
+        own = residuals(d, R)
+        variance = max(float(own @ own) / freedom, 1e-24)
+    by_turn = [(residuals(d, Rotation.from_rotvec(w).as_matrix() @ R) - own) / STEP for w in STEP * np.eye(3)]
+    jacobian = np.column_stack([*by_turn, found.jac[: len(own)]])
+    return np.asarray(d), np.asarray(jacobian.T @ jacobian / variance)
 
 
 def _checked(
@@ -141,4 +155,7 @@ def _checked(
     seen = np.array([m.count > 0 for m in moments])
     if not seen.any():
         raise ValueError("no camera has matches")
+    behind = seen & (np.einsum("ci,ci->c", Q[:, 2], g - o) <= 0)
+    if behind.any():
+        raise ValueError(f"the object's centre is not in front of camera {int(np.argmax(behind))}")
     return Q, o, R, g, seen

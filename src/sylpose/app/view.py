@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from sylpose import calibration
@@ -69,8 +70,11 @@ def standing(
     """A virtual camera at a point, upright, that looks at another one: where the object was first, if nothing is said.
 
     Raises:
-        ValueError: both are one point; a trajectory without poses.
+        ValueError: numbers that are not finite; both are one point; a trajectory without poses.
     """
+    for option, point in (("--from", eye), ("--at", at)):
+        if point is not None and not all(map(math.isfinite, point)):
+            raise ValueError(f"{option}: three finite numbers are expected, got {' '.join(map(str, point))}")
     if at is None:
         seen = [pose.position for pose in trajectory if pose.world_from_object is not None]
         if not seen:
