@@ -1,0 +1,64 @@
+"""The benchmarks of the paper's estimators run, and measure what they say."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import consensus as consensus_benchmark
+import depth_plane as depth_plane_benchmark
+import equations
+import numpy as np
+import paper_times
+import pytest
+
+from sylpose.simulate import ellipsoid
+
+FOLDER = Path(__file__).parents[1] / "benchmarks"
+
+
+def test_sensors_as_a_user_types_it() -> None:
+    done = subprocess.run(
+        [sys.executable, str(FOLDER / "sensors.py"), "--scenes", "1", "--rigs", "4", "--turns", "10"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+    )
+    assert done.returncode == 0, done.stderr
+    rows = [line.split("|") for line in done.stdout.splitlines() if line.startswith("| 4 ")]
+    assert {row[3].strip() for row in rows} >= {"junk", "frozen", "turned 90", "mirrored"}
+
+
+def test_times_are_of_the_problem_they_name(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(paper_times, "PROBLEMS", 3)
+    monkeypatch.setattr(paper_times, "COUNTS", (4, 100))
+    paper_times.many_problems(1)
+    said = capsys.readouterr().out
+    assert "4 around" in said
+    assert len(paper_times.moments_of(paper_times.around(4), 0)) == 4
+
+
+def test_singular_equations_of_the_benchmark_are_singular(capsys: pytest.CaptureFixture[str]) -> None:
+    equations.singular(np.random.default_rng(0), 2)
+    rows = [line for line in capsys.readouterr().out.splitlines() if " of 2" in line]
+    assert len(rows) == len(equations.forms())
+    for row in rows:
+        assert ("0 of 2 | 0 of 2" in row) == ("regular" in row)
+
+
+def test_depth_plane_rows() -> None:
+    rig = depth_plane_benchmark.around(4)
+    problems = [depth_plane_benchmark.synthetic(seed, rig, ellipsoid((0.15, 0.12, 0.1)), 5.0) for seed in range(2)]
+    cells = [cell.strip() for cell in depth_plane_benchmark.row("ellipsoid", problems).strip("| \n").split("|")]
+    assert cells[0] == "ellipsoid"
+    assert float(cells[2]) < float(cells[1])  # the depth plane against depth ignored
+
+
+def test_rounds_are_counted_to_the_tolerance() -> None:
+    problem = next(iter(consensus_benchmark.problems(consensus_benchmark.tilted(4), 1)))
+    loose, tight = (consensus_benchmark.rounds_to(problem, tolerance) for tolerance in (1e-3, 1e-8))
+    assert 0 < loose < tight < 100
