@@ -321,6 +321,46 @@ def test_no_motion_is_found_to_be_none() -> None:
     assert turn_between(solution.rotation, R) < 0.6
 
 
+@pytest.mark.parametrize("relief", [0.0, 0.05])
+@pytest.mark.parametrize("seed", range(4))
+def test_no_motion_without_noise_settles(seed: int, relief: float) -> None:
+    """Relief along the line of sight is hidden: scoring alone takes ever longer steps back and forth."""
+    rng = np.random.default_rng(seed)
+    rotations = np.asarray(Rotation.random(4, rng=rng).as_matrix())
+    points = rng.standard_normal((4, 60, 3)) * [1, 1, relief]
+    moments = [PairMoments.from_matches(x, x) for x in (p @ q[:2].T for p, q in zip(points, rotations, strict=True))]
+    solution = solve_depth_plane(rotations, moments, aim=False)
+    assert solution.converged
+    assert solution.status is Status.OK
+    assert turn_between(solution.rotation, np.eye(3)) < 1e-6
+
+
+def test_a_translation_without_noise_is_no_turn() -> None:
+    rng = np.random.default_rng(0)
+    rotations = np.asarray(Rotation.random(4, rng=rng).as_matrix())
+    moments = []
+    for q in rotations:
+        points = 0.1 * rng.standard_normal((60, 3))
+        seen = [(p @ q.T) + [0, 0, 1] for p in (points, points + np.array([0.02, 0.02, 0]))]
+        moments.append(PairMoments.from_matches(*(p[:, :2] / p[:, 2:] for p in seen)))
+    solution = solve_depth_plane(rotations, moments)
+    assert solution.status is Status.OK
+    assert turn_between(solution.rotation, np.eye(3)) < 0.05
+
+
+def test_a_slow_search_that_is_near_the_minimum_has_its_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A still object seen by a narrow arc, with noise: hundreds of steps for less than a tenth of a standard deviation."""
+    rotations, moments, _ = scene(6, arc(4, 30.0), ellipsoid((0.15, 0.12, 0.1)), 0.0)
+    solution = solve_depth_plane(rotations, moments)
+    assert solution.converged
+    monkeypatch.setattr(depth_plane, "ITERATIONS", 1000)
+    longer = solve_depth_plane(rotations, moments)
+    assert 0 <= solution.cost - longer.cost < depth_plane.NEAR
+    apart = Rotation.from_matrix(longer.rotation @ solution.rotation.T).as_rotvec()
+    assert apart @ longer.information @ apart < 0.1**2
+    assert solution.iterations < longer.iterations
+
+
 def test_a_search_that_is_cut_short_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(depth_plane, "ITERATIONS", 4)
     rotations, moments, _ = scene(0, around(4), box())

@@ -343,6 +343,12 @@ def test_bad_equations_are_refused() -> None:
     for rcond in (0.0, 1.0, -1e-9, np.nan):
         with pytest.raises(ValueError, match="rcond must be at least"):
             solve_sylvester(eye, eye, eye, rcond=rcond)
+    for k, name in enumerate("ABC"):
+        a, b, c = (eye * (1j if k == i else 1) for i in range(3))
+        with pytest.raises(ValueError, match=f"{name} must be real"):
+            solve_sylvester(a, b, c)
+    with pytest.raises(ValueError, match=r"Bs\[1\] must be real"):
+        solve_generalized_sylvester([eye, eye], [eye, 1j * eye], eye)
     with pytest.raises(ValueError, match="equally many"):
         solve_generalized_sylvester([eye], [], eye)
     with pytest.raises(ValueError, match="one size"):

@@ -308,6 +308,76 @@ def test_2d3d_of_flat_points_in_one_camera_has_a_mirrored_solution(seed: int) ->
         assert both.costs[0] < 1e-9
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_2d3d_of_a_plane_is_certified_from_three_cameras(noise: float) -> None:
+    """Its normal is in no image: two columns of the rotation are what is seen, the third follows."""
+    certified = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        cameras, turn, frame = (random_rotation(rng) for _ in range(3))
+        rotations = np.array([cameras, cameras @ random_rotation(rng), random_rotation(rng)])
+        points = [rng.normal(size=(12, 2)) @ frame[:2] for _ in rotations]
+        images = [
+            p @ turn.T @ q[:2].T + noise * rng.normal(size=(12, 2)) for p, q in zip(points, rotations, strict=True)
+        ]
+        solution = solve_2d3d(rotations, points, images)
+        certified += solution.certified
+        if solution.certified:
+            assert solution.status is Status.OK
+            assert len(solution.costs) == 1
+            assert angle(solution.rotation, turn) < (0.1 if noise else 1e-6)
+            # No rotation is better.
+            others = np.asarray(Rotation.random(500, rng=rng).as_matrix())
+            squares = np.zeros(501)
+            for p, q, y in zip(points, rotations, images, strict=True):
+                tried = (p - p.mean(axis=0)) @ np.swapaxes(q[:2] @ [solution.rotation, *others], 1, 2)
+                squares += ((y - y.mean(axis=0) - tried) ** 2).sum(axis=(1, 2))
+            assert squares[1:].min() > squares[0]
+    assert certified >= 18
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e7])
+def test_far_from_the_origin_points_are_still_spread(offset: float) -> None:
+    """As in map coordinates."""
+    rng = np.random.default_rng(3)
+    x, turn = rng.normal(size=(12, 3)), random_rotation(rng)
+    there = offset * np.array([1.0, -0.5, 0.3])
+    solution = solve_3d3d(x + there, x @ turn.T + 2 * there)
+    assert solution.status is Status.OK
+    assert angle(solution.rotation, turn) < 1e-7
+    rotations = np.array([random_rotation(rng) for _ in range(3)])
+    images = [(x @ turn.T + 2 * there) @ q[:2].T for q in rotations]
+    solution = solve_2d3d(rotations, [x + there] * 3, images)
+    assert solution.status is Status.OK
+    assert angle(solution.rotation, turn) < 1e-7
+    # Points that fall together there are not.
+    point = np.tile(there + rng.normal(size=3), (12, 1))
+    assert np.isnan(solve_3d3d(point, x).rotation).all()
+    assert np.isnan(solve_2d3d(rotations, [point] * 3, images).rotation).all()
+
+
+@pytest.mark.parametrize("weight", [1e-100, 1e-3, 1e100])
+def test_weights_of_any_size_give_the_same_rotation(weight: float) -> None:
+    rng = np.random.default_rng(3)
+    x, turn = rng.normal(size=(12, 3)), random_rotation(rng)
+    y = x @ turn.T + [1.0, 2, 3]
+    solution = solve_3d3d(x, y, np.full(12, weight))
+    assert angle(solution.rotation, turn) < 1e-7
+    np.testing.assert_allclose(solution.displacement, (y - x).mean(axis=0))
+    # As many points as the weights are together: next to none see nothing.
+    assert solution.status is (Status.OK if weight > 1e-6 else Status.TURN_NOT_OBSERVABLE)
+
+
+def test_weights_beyond_the_range_of_numbers_are_refused() -> None:
+    x, y = np.random.default_rng(0).normal(size=(2, 12, 3))
+    with pytest.raises(ValueError, match="there are no points"):
+        solve_3d3d(x, y, np.full(12, 1e-310))
+    with pytest.raises(ValueError, match="weights must be at most"):
+        solve_3d3d(x, y, np.full(12, 1e300))
+    with pytest.raises(ValueError, match=r"weights\[0\] must be at most"):
+        solve_2d3d(np.eye(3)[None], [x], [y[:, :2]], weights=[np.full(12, 1e300)])
+
+
 def test_2d3d_of_a_line_leaves_the_turn_about_it_open() -> None:
     scene = Scene(0, 3, 0.0, (1, 0, 0))
     points = [

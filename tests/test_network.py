@@ -15,6 +15,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scenes import BODY, around
+from scipy.spatial.transform import Rotation
 from test_sylvester import (
     angle,
     general_cameras,
@@ -98,6 +99,49 @@ def test_every_camera_has_the_centralised_answer(solve: Solve, seed: int, n: int
 def test_so_through_perspective_lenses(solve: Solve, rig: Rig) -> None:
     problem = seen(rig)
     check(solve(*problem), of(problem, range(len(rig))), range(len(rig)))
+
+
+@schemes
+def test_the_status_is_the_centralised_one_where_little_is_seen(solve: Solve) -> None:
+    found = set()
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        cameras, turn = random_rotations(rng, 4), random_rotations(rng, 1)[0]
+        moments = moments_of(orthographic(rng, cameras, turn, noise=0.6, n=4, even=False))
+        reference = solve_centralized(cameras, moments, aim=False)
+        answer = solve(cameras, moments, aim=False)
+        if angle(answer.rotation, reference.rotation) < 1e-6:  # refine may find another minimum
+            assert answer.status is reference.status
+            found.add(answer.status)
+    assert {Status.OK, Status.TURN_NOT_OBSERVABLE} <= found
+
+
+@schemes
+@pytest.mark.parametrize("n", [2, 5])
+def test_parallel_cameras_agree_on_one_of_two_mirrored_rotations(solve: Solve, n: int) -> None:
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        cameras, turn = np.repeat(random_rotations(rng, 1), n, axis=0), Rotation.from_rotvec(rng.normal(size=3) * 0.2)
+        moments = moments_of(orthographic(rng, cameras, turn.as_matrix(), noise=0.02))
+        reference = solve_centralized(cameras, moments, aim=False)
+        found = solve(cameras, moments, aim=False)
+        assert found.status is reference.status is not Status.OK
+        assert min(angle(found.rotation, c) for c in reference.candidates) < 1e-6
+
+
+@schemes
+@pytest.mark.parametrize("unit", [1e-8, 1e4, 1e6])
+def test_orthographic_points_have_any_unit(solve: Solve, unit: float) -> None:
+    cameras, matches, _ = noisy_problem(1, 4)
+    moments = moments_of([(unit * x, unit * y) for x, y in matches])
+    check(solve(cameras, moments, aim=False), solve_centralized(cameras, moments, aim=False), range(4))
+
+
+def test_an_exchange_of_what_no_lens_shows_says_so() -> None:
+    cameras, matches, _ = noisy_problem(1, 4)
+    found = solve_exchange(cameras, moments_of([(1e4 * x, 1e4 * y) for x, y in matches]))
+    assert found.status is Status.NOT_CONVERGED
+    assert "89 degrees" in found.refused[0]
 
 
 def test_exchange_is_the_centralised_answer_to_the_bit_in_one_round() -> None:

@@ -130,6 +130,26 @@ def test_the_result_is_that_without_the_named_camera_and_the_text_names_it() -> 
     assert robust.status is (Status.OK if by_hand.certified else Status.NOT_CERTIFIED)
 
 
+def test_the_status_is_that_of_the_solution() -> None:
+    """Few noisy matches: many of these do not see all of the turn."""
+    found = set()
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        cameras, turn = random_rotations(rng, 4), random_rotations(rng, 1)[0]
+        moments = []
+        for q in cameras:
+            points = rng.normal(size=(8, 3))
+            x, y = (points @ q.T)[:, :2], (points @ turn.T @ q.T)[:, :2]
+            moments.append(PairMoments.from_matches(*(p + 0.5 * rng.normal(size=p.shape) for p in (x, y))))
+        robust = solve_robust(cameras, moments, aim=False)
+        if robust.solution is not None and robust.diagnosis.consistent:
+            assert robust.status is robust.solution.status
+            np.testing.assert_array_equal(robust.rotation, robust.solution.rotation)
+            np.testing.assert_array_equal(robust.information, robust.solution.information)
+            found.add(robust.status)
+    assert found == {Status.OK, Status.NOT_CERTIFIED, Status.TURN_NOT_OBSERVABLE}
+
+
 def test_without_faults_it_is_the_plain_estimate() -> None:
     s = bench.scene(4, 5.0, 0, None)
     robust, plain = solve_robust(s.rotations, s.moments), solve_centralized(s.rotations, s.moments)
@@ -174,6 +194,9 @@ def test_all_cameras_junk_is_no_solution() -> None:
     robust = solve_robust(random_rotations(rng, 3), moments)
     assert robust.status is Status.NOT_CONSISTENT
     assert robust.solution is None
+    assert np.isnan(robust.rotation).all()
+    assert robust.rotation.shape == (3, 3)
+    np.testing.assert_array_equal(robust.information, np.zeros((3, 3)))
     assert kinds(robust.diagnosis) == {0: "junk", 1: "junk", 2: "junk"}
 
 

@@ -307,6 +307,26 @@ def test_points_that_fall_together_give_no_false_certificate() -> None:
     assert np.isfinite(solution.information).all()
 
 
+@pytest.mark.parametrize("unit", [1e-8, 1e8])
+def test_orthographic_points_of_any_unit_are_spread(unit: float) -> None:
+    cameras, matches, _ = noisy_problem(2)
+    a = solve_centralized(cameras, moments_of(matches), aim=False)
+    b = solve_centralized(cameras, moments_of([(unit * x, unit * y) for x, y in matches]), aim=False)
+    assert same(a, b)
+
+
+@pytest.mark.parametrize("n", [1, 10, 100_000])
+@pytest.mark.parametrize("unit", [1e-8, 1.0, 1e8])
+def test_what_rounding_leaves_of_a_point_is_no_spread(n: int, unit: float) -> None:
+    rng = np.random.default_rng(n)
+    cameras, points = random_rotations(rng, 3), unit * rng.normal(size=(3, 2, 2))
+    weights = rng.uniform(0.1, 1, n)
+    moments = [PairMoments.from_matches(np.tile(x, (n, 1)), np.tile(y, (n, 1)), weights) for x, y in points]
+    for aim in (False, True):
+        with pytest.raises(ValueError, match="no camera has matches that are spread"):
+            solve_centralized(cameras, moments, aim=aim)
+
+
 def perspective(
     rng: np.random.Generator, cameras: FloatArray, centers: FloatArray, turn: FloatArray, d: FloatArray, size: float
 ) -> list[PairMoments]:

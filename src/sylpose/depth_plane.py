@@ -57,6 +57,8 @@ MIN_MATCHES = 3
 ITERATIONS = 60
 # Steps that promise less (log-likelihood) are none: some 1e-5 standard deviations.
 SETTLED = 1e-10
+# Where the bound of iterations ends a search, this is near enough: 0.05 standard deviations.
+NEAR = 1e-3
 # A stranger minimum that is less likely by no more than exp(-this) leaves doubt.
 RIVAL = 4.5
 # A direction is not observable if its standard deviation exceeds this share of the turn, and a degree.
@@ -87,7 +89,7 @@ class DepthPlaneSolution:
         cost: minus the logarithm of the likelihood and the priors, but for a constant.
         information: (3, 3) of w, R = exp(w) rotation, world axes, 1/rad², what each camera believes of its own depth
             eliminated. Zero without an answer.
-        converged: the search settled.
+        converged: the search settled, or its bound of iterations ended it within 0.05 standard deviations.
         iterations: steps of all searches together.
     """
 
@@ -256,10 +258,10 @@ def _search(problem: _Problem, R: FloatArray, own: FloatArray) -> _Found:
     """Fisher's scoring with Marquardt's damping from S starts at once, rotations (S, 3, 3) and own unknowns (S, C, 7)."""
     cost = _cost(problem, R, own)
     damping, converged = np.full(len(R), 1e-3), np.zeros(len(R), dtype=bool)
-    iteration = 0
+    iteration, promise = 0, np.full(len(R), np.inf)
     while iteration < ITERATIONS and not converged.all():
         iteration += 1
-        gradient, hessian = _derivatives(problem, R, own)
+        gradient, hessian = _derivatives(problem, R, own, searching=True)
         w, step, promise = _step(gradient, hessian, damping)
         # The model is linear about as far as this.
         length = np.maximum(np.linalg.norm(w, axis=1) / 0.5, np.abs(step).max(axis=(1, 2)) / 1.5)
@@ -275,7 +277,7 @@ def _search(problem: _Problem, R: FloatArray, own: FloatArray) -> _Found:
         own = np.where(better[:, None, None], new_own, own)
         cost = np.where(better, new_cost, cost)
         damping = np.where(better, np.maximum(damping / 10, 1e-12), np.minimum(np.maximum(damping * 10, 1e-6), 1e10))
-    return _Found(R, own, cost, converged, iteration)
+    return _Found(R, own, cost, converged | (promise < NEAR), iteration)
 
 
 def _step(gradient: FloatArray, hessian: FloatArray, damping: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -313,10 +315,12 @@ def _cost(problem: _Problem, R: FloatArray, own: FloatArray) -> FloatArray:
     return out
 
 
-def _derivatives(problem: _Problem, R: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _derivatives(
+    problem: _Problem, R: FloatArray, own: FloatArray, searching: bool = False
+) -> tuple[FloatArray, FloatArray]:
     """Gradient (S, C, 10) and Fisher's information (S, C, 10, 10) of each camera's cost, by w and its own unknowns."""
     gradient, information = np.empty((*own.shape[:2], _N)), np.empty((*own.shape[:2], _N, _N))
-    derivatives(*_plain(problem), R, own, gradient, information)
+    derivatives(*_plain(problem), R, own, searching, gradient, information)
     return gradient, information
 
 

@@ -121,18 +121,20 @@ def derivatives(
     noise_known: bool,
     R: FloatArray,
     own: FloatArray,
+    searching: bool,
     gradient: FloatArray,
     information: FloatArray,
 ) -> None:
     """Fills gradient (S, C, 10) and Fisher's information (S, C, 10, 10) of each camera's cost.
 
-    The information takes V's share I + F F' as given: it belongs to total least squares.
+    The information takes V's share I + F F' as given: it belongs to total least squares. `searching`, it has besides
+    what curvature by w it lacks where m and the residuals are small, so that a step does not go too far.
     """
     Rc, H, A = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 9))
     G, V, W, G_inverse = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
     AM, S, pull, by_V, by_G = np.empty((2, 9)), np.empty((2, 2)), np.empty((2, 9)), np.empty((2, 2)), np.empty((2, 2))
     dH, dA, WdAM = np.empty((10, 3, 3)), np.empty((10, 2, 9)), np.empty((10, 2, 9))
-    dV, WdV, dAM = np.empty((10, 2, 2)), np.empty((10, 2, 2)), np.empty((2, 9))
+    dV, WdV, dAM, dm = np.empty((10, 2, 2)), np.empty((10, 2, 2)), np.empty((2, 9)), np.empty((3, 2))
     for start in range(len(R)):
         for c in range(len(n)):
             q, g, info = own[start, c], gradient[start, c], information[start, c]
@@ -189,6 +191,15 @@ def derivatives(
                     info[u, v] = info[v, u] = total
             # A relief that the noise hides adds ζ² to the cost, whose curvature by log ζ is not in its information.
             info[8, 8] += 2.0 * max(g[8], 0.0)
+            if searching:
+                # V grows with the square of w where m = 0. Residuals of V leave nothing of it in the mean.
+                excess = 0.5 * max(by_V[0, 0] + by_V[1, 1], 0.0) * np.exp(2.0 * (q[5] + q[2]))
+                for u in range(3):
+                    dm[u, 0] = Qy[c, 1, u] * Rc[2, 2] - Qy[c, 2, u] * Rc[1, 2]
+                    dm[u, 1] = Qy[c, 2, u] * Rc[0, 2] - Qy[c, 0, u] * Rc[2, 2]
+                for u in range(3):
+                    for v in range(3):
+                        info[u, v] += excess * (dm[u, 0] * dm[v, 0] + dm[u, 1] * dm[v, 1])
             _add_priors(q, spread[c], noise_known, g, info)
 
 

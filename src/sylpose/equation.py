@@ -62,7 +62,7 @@ def solve_sylvester(
 
     Raises:
         SingularSylvesterError: naming the eigenvalues of A and -B that collide, and the member of the batch.
-        ValueError: shapes that do not fit, values that are not finite, too many unknowns for "kronecker" (5000), a
+        ValueError: shapes that do not fit, complex, infinite or NaN values, too many unknowns for "kronecker" (5000), a
             solution beyond the range of floating point numbers.
     """
     a, b, c = _square(A, "A"), _square(B, "B"), _finite(C, "C")
@@ -103,7 +103,7 @@ def solve_generalized_sylvester(
     Raises:
         SingularSylvesterError: giving, up to 400 unknowns, the system's rank and a direction that it does not see; for
             K = 2 the eigenvalues of the pencils A_1 - λ A_2 and B_2 + λ B_1 that collide.
-        ValueError: shapes that do not fit, values that are not finite, too many unknowns for "kronecker" (5000), K > 2
+        ValueError: shapes that do not fit, complex, infinite or NaN values, too many unknowns for "kronecker" (5000), K > 2
             for "bartels-stewart", a solution beyond the range of floating point numbers.
     """
     if len(As) != len(Bs) or len(As) == 0:
@@ -157,6 +157,8 @@ def transpose(a: FloatArray) -> FloatArray:
 
 
 def _finite(array: ArrayLike, name: str) -> FloatArray:
+    if np.iscomplexobj(np.asarray(array)):
+        raise ValueError(f"{name} must be real, got complex numbers")
     out = np.asarray(array, dtype=float)
     if out.ndim < 2 or 0 in out.shape[-2:] or not np.isfinite(out).all():
         raise ValueError(f"{name} must be a finite matrix or a stack of them, got shape {out.shape}")

@@ -64,7 +64,7 @@ def exchange_start(
         camera: which of `rotations` it is.
         rotations: (C, 3, 3) Q of camera_from_world of all.
         moments: its own.
-        aim: as in `solve_centralized`.
+        aim: as in `solve_centralized`. If so, moments of points more than 89 degrees off the axis are refused.
         rounds: how often it sends its moments: 1, or more where messages get lost or are late.
     """
     Q = np.array(rotations, dtype=float)
@@ -81,7 +81,7 @@ def exchange_step(state: ExchangeState, inbox: Inbox) -> tuple[ExchangeState, li
         try:
             if not 0 <= c < len(s.rotations):
                 raise ValueError("no camera of the rig")
-            heard[c] = _plausible_moments(message.values)
+            heard[c] = _plausible_moments(message.values, s.aim)
         except ValueError as error:
             refused.setdefault(c, str(error))
     s = replace(s, heard=heard, refused=refused, round=s.round + 1)
@@ -106,12 +106,15 @@ def _moments_packets(s: ExchangeState) -> list[Packet]:
     return [Packet(others, encode(s.camera, Message(s.round, True, True, values)))] if others else []
 
 
-def _plausible_moments(values: FloatArray) -> PairMoments:
+def _plausible_moments(values: FloatArray, aim: bool) -> PairMoments:
     moments = PairMoments.from_bytes(values.astype("<f8").tobytes())
     count = moments.matrix[8, 8]
-    # Within 89 degrees of the axis |x| < 100; an x, y pair adds at most 1e8 to the largest entry.
-    if np.abs(moments.matrix).max() > 1e8 * count or not 0 <= count < 1e15:
-        raise ValueError("moments that no image has")
+    if not 0 <= count < 1e15:
+        raise ValueError("moments that no image has: their number of matches")
+    # Within 89 degrees of the axis |x| < 100; an x, y pair adds at most 1e8 to the largest entry. Orthographic points
+    # have any unit.
+    if aim and np.abs(moments.matrix).max() > 1e8 * count:
+        raise ValueError("moments that no image has: points more than 89 degrees off the camera's axis")
     if count > 0 and np.linalg.eigvalsh(moments.matrix / count)[0] < -1e-9 * np.trace(moments.matrix) / count:
         raise ValueError("moments that no matches have: not positive semidefinite")
     return moments

@@ -32,7 +32,7 @@ from scipy.sparse.csgraph import shortest_path
 from sylpose.consensus import PATIENCE, Evidence, evidence_of
 from sylpose.messages import Inbox, Message, Packet, encode, newest, read
 from sylpose.moments import PairMoments
-from sylpose.so3 import minimize
+from sylpose.so3 import cost_of, minimize
 
 __all__ = ["GossipState", "gossip_start", "gossip_step"]
 
@@ -40,6 +40,10 @@ FloatArray = NDArray[np.float64]
 
 RELAXATION = 0.8
 STILL = 1e-12  # change, relative to x, that is none
+# Rotations are as good as the best up to this much more cost: each camera has another mean, by rounding. Of mirrored ones
+# all take that with the largest sum of entries, weighted by numbers that no mirror leaves alike.
+EQUAL = 1e-10
+_ORDER = np.sqrt([2.0, 3, 5, 7, 11, 13, 17, 19, 23]).reshape(3, 3)
 
 _UPPER = np.triu_indices(9)
 
@@ -204,7 +208,10 @@ def _solved(s: GossipState) -> GossipState:
     scale = float(np.trace(evidence.H)) / 9
     if not (scale > 0 and evidence.weight > 0):
         return replace(s, converged=False)
-    rotation = minimize(evidence.H / scale, evidence.h / scale)[0][0]
+    candidates = minimize(evidence.H / scale, evidence.h / scale)[0]
+    costs = cost_of(evidence.H / scale, evidence.h / scale, candidates)
+    best = candidates[costs < costs.min() + EQUAL]
+    rotation = best[np.argmax((_ORDER * best).sum(axis=(1, 2)))]
     return replace(s, rotation=rotation, information=evidence.information(rotation))
 
 

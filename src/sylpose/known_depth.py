@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from sylpose.one_camera import unseen_turns
 from sylpose.orthographic import checked_rotations
 from sylpose.results import Status
 from sylpose.so3 import CERTIFICATE, STATIONARY, cost_of, derivatives, minimize, multiplier_of
+from sylpose.sylvester import status_of, unseen_turns
 
 __all__ = ["KnownDepthSolution", "solve_2d3d", "solve_3d3d"]
 
@@ -32,8 +32,12 @@ FloatArray = NDArray[np.float64]
 
 # Eigenvalues up to this share of others are zero.
 ROUNDING = 1e-12
+# Points whose distance from their mean is this share of that from the origin are spread by rounding only.
+FALLEN = 16 * float(np.finfo(float).eps)
 # The residuals' mean square is taken to be at least this share of the points' own.
 LEAST = 1e-12
+# No weight is larger, and one that is smaller than the inverse is none.
+MOST = 1e100
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +104,8 @@ def solve_2d3d(
         points: per camera (n, 3) in frame i, world; n may be 0.
         images: per camera (n, 2), y = P Q (X_j - o).
         centers: (C, 3) o, the world point at the origin of each image; None for the world's origin.
-        weights: per camera (n,) non-negative; None for ones.
+        weights: per camera (n,) non-negative, at most 1e100, none if below 1e-100; None for ones. A point of weight w counts
+            as w points: small weights leave little information.
 
     Raises:
         ValueError: shapes that do not fit, values that are not finite, matrices that are no rotations, no points at all.
@@ -124,25 +129,24 @@ def solve_2d3d(
     H = sum((np.kron(p.T @ p, s.s_xx) for p, s in zip(PQ, sets, strict=True)), start=np.zeros((9, 9)))
     h = sum((p.T @ s.s_yx for p, s in zip(PQ, sets, strict=True)), start=np.zeros((3, 3))).ravel()
     scale = float(np.trace(H)) / 9
-    if not scale > 1e-14 * sum(s.total for s in sets):
+    if not scale > FALLEN**2 * sum(s.total for s in sets):
         return _nothing(center, np.full(3, np.nan))
     H, h, constant = (H + H.T) / (2 * scale), h / scale, sum(s.half_yy for s in sets) / scale
     candidates, certified, iterations = minimize(H, h)
     R = np.asarray(candidates[0])
     gradient, hessian = derivatives(H, h, R)
     converged, L = bool(np.abs(gradient).max() < STATIONARY), multiplier_of(H, h, R)
-    if not certified and converged and _proved_by_two_rows(PQ[[s.weight > 0 for s in sets]], H, L):
-        certified, candidates = True, candidates[:1]
+    if not certified and converged:
+        seen = PQ[[s.weight > 0 for s in sets]]
+        if _proved_by_two_rows(seen, H, L) or _proved_by_two_columns(
+            np.sum([s.s_xx for s in sets], axis=0), H, R.T @ L @ R
+        ):
+            certified, candidates = True, candidates[:1]
     costs = cost_of(H, h, candidates) + constant
     variance = max(float(costs[0]), LEAST * max(constant, 1.0)) * scale / weight
     information = hessian * scale / variance
     unseen = unseen_turns(information)
-    if not converged:
-        status = Status.NOT_CONVERGED
-    elif len(unseen):
-        status = Status.TURN_NOT_OBSERVABLE
-    else:
-        status = Status.OK if certified else Status.NOT_CERTIFIED
+    status = status_of(converged, certified, information)
     d, of_d = _displacement(PQ, o, sets, R, center, variance)
     return KnownDepthSolution(status, candidates, costs, certified, L, information, unseen, center, d, of_d, iterations)
 
@@ -156,7 +160,7 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
 
     Args:
         x, y: (n, 3) points in frames i and j, world.
-        weights: (n,) non-negative; None for ones.
+        weights: as in `solve_2d3d`, (n,).
 
     Raises:
         ValueError: shapes that do not fit, values that are not finite, negative weights, no points.
@@ -165,7 +169,7 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
     if not s.weight > 0:
         raise ValueError("there are no points")
     d, scale = s.mean_y - s.mean_x, float(np.trace(s.s_xx)) / 3
-    if not scale > 1e-14 * s.total:
+    if not scale > FALLEN**2 * s.total:
         return _nothing(s.mean_x, d)
     S, C, constant = s.s_xx / scale, s.s_yx / scale, s.half_yy / scale
     U, sigma, W = np.linalg.svd(C)
@@ -180,7 +184,7 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
     information = hessian * scale / variance
     unseen = unseen_turns(information)
     return KnownDepthSolution(
-        status=Status.TURN_NOT_OBSERVABLE if len(unseen) else Status.OK,
+        status=status_of(True, True, information),
         candidates=R[None],
         costs=np.array([cost]),
         certified=True,
@@ -217,9 +221,14 @@ def _moments(
     w = np.ones(n) if weights is None else np.asarray(weights, dtype=float)
     if w.shape != (n,) or not np.isfinite(w).all() or (w < 0).any():
         raise ValueError(f"{names[2]} must be {n} finite, non-negative numbers")
+    if (w > MOST).any():
+        raise ValueError(f"{names[2]} must be at most {MOST:g}: a weight is a number of points")
+    w = np.where(w < 1 / MOST, 0.0, w)
     weight = float(w.sum())
-    share = w / max(weight, 1e-300)
+    share = w / weight if weight > 0 else w
     mean_x, mean_y = share @ points, share @ images
+    # Once more, of what is left: far from the origin a mean has more rounding than the points.
+    mean_x, mean_y = mean_x + share @ (points - mean_x), mean_y + share @ (images - mean_y)
     total = float(w @ (points**2).sum(axis=1))
     dx, dy = points - mean_x, images - mean_y
     return _Moments(weight, mean_x, mean_y, (dx.T * w) @ dx, (dy.T * w) @ dx, float(w @ (dy**2).sum(axis=1)) / 2, total)
@@ -245,6 +254,19 @@ def _proved_by_two_rows(PQ: FloatArray, H: FloatArray, L: FloatArray) -> bool:
         return False
     across = np.kron(axes[:, 1:].T, np.eye(3))
     K = H + np.kron(L, np.eye(3))
+    return bool(np.linalg.eigvalsh(across @ K @ across.T)[0] > CERTIFICATE)
+
+
+def _proved_by_two_columns(s_xx: FloatArray, H: FloatArray, M: FloatArray) -> bool:
+    """The certificate for points of all cameras on parallel planes: the cost says nothing of R along their normal.
+
+    With M = R'L R, K r = h is also (H + I ⊗ M) r = h; and two columns of R give the third.
+    """
+    values, axes = np.linalg.eigh(s_xx)
+    if values[0] > ROUNDING * values[2]:
+        return False
+    across = np.kron(np.eye(3), axes[:, 1:].T)
+    K = H + np.kron(np.eye(3), M)
     return bool(np.linalg.eigvalsh(across @ K @ across.T)[0] > CERTIFICATE)
 
 

@@ -63,7 +63,7 @@ def decode(data: bytes, sender: int, sizes: tuple[int, ...]) -> Message:
         raise ValueError("the header is not this camera's")
     values = np.frombuffer(data, "<f8", offset=HEADER.size).astype(float)
     if not (np.abs(values) < LARGEST).all():
-        raise ValueError("values that are not finite, or beyond all reason")
+        raise ValueError(f"values that are not finite, or beyond {LARGEST:g}")
     return Message(number, bool(flags & 1), bool(flags & 2), values)
 
 

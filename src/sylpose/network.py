@@ -27,6 +27,7 @@ from sylpose.orthographic import checked_rotations, quadratic_of, views_of
 from sylpose.results import Status
 from sylpose.so3 import STATIONARY, derivatives, multiplier_of
 from sylpose.so3_kernels import CERTIFICATE
+from sylpose.sylvester import status_of
 
 __all__ = ["Agreement", "Faults", "Nonsense", "run", "solve_exchange", "solve_gossip", "solve_refine"]
 
@@ -96,8 +97,8 @@ class Agreement:
     """What C cameras came to.
 
     Attributes:
-        status: OK where all live cameras that nobody refused converged to one rotation, and it is certified as the global
-            optimum; NOT_CERTIFIED where it is not; NOT_CONVERGED where they did not, or differ.
+        status: NOT_CONVERGED unless all live cameras that nobody refused converged to one rotation; then as that of the
+            centralised estimator: TURN_NOT_OBSERVABLE, NOT_CERTIFIED or OK.
         rotation: (3, 3) the one they agree on, X_j = R X_i + t in the world frame: the first such camera's. NaN if none
             converged.
         information: (3, 3) as in `CentralizedSolution`, as that camera found it.
@@ -139,7 +140,8 @@ def solve_exchange(
     Args:
         rotations: (C, 3, 3) Q of camera_from_world.
         moments: C pair moments.
-        aim: as in `solve_centralized`.
+        aim: as in `solve_centralized`; cameras refuse moments of points more than 89 degrees off the axis then. Not aimed
+            the points may have any unit in which no moment exceeds 1e30: coordinates up to about 1e6.
 
     Raises:
         ValueError: as `solve_centralized`.
@@ -157,7 +159,11 @@ def solve_refine(
     bound: int = 500,
     faults: Faults = NO_FAULTS,
 ) -> Agreement:
-    """The paper's scheme: cameras send rotations, in up to `bound` rounds. Arguments and errors as `solve_exchange`."""
+    """The paper's scheme: cameras send rotations, in up to `bound` rounds. Arguments and errors as `solve_exchange`.
+
+    It finds a minimum, not always the least one where there are several (collinear points, say): NOT_CERTIFIED then. Of
+    matches that mean nothing it may find none.
+    """
     Q = _checked(rotations, moments, aim, faults)
     everyone = range(len(Q))
     starts = [lambda c=c: refine_start(c, everyone, Q[c], moments[c], aim=aim, bound=bound) for c in everyone]
@@ -264,11 +270,9 @@ def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome
         rotation, information = good[0].rotation, good[0].information
         spread = max(float(Rotation.from_matrix(rotation.T @ other).magnitude()) for other in answers)
         certified = _certified(Q[list(used)], [moments[c] for c in used], aim, rotation)
-    status = Status.NOT_CONVERGED
-    if len(good) == len(judged) > 0 and spread < AGREED:
-        status = Status.OK if certified else Status.NOT_CERTIFIED
+    agreed = len(good) == len(judged) > 0 and spread < AGREED
     return Agreement(
-        status=status,
+        status=status_of(agreed, certified, information),
         rotation=rotation,
         information=information,
         certified=certified,

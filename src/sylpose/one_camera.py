@@ -42,10 +42,10 @@ from sylpose.equation import transpose
 from sylpose.moments import PairMoments
 from sylpose.orthographic import Views, quadratic_of, views_of
 from sylpose.results import Status
-from sylpose.so3 import FLAT, derivatives
-from sylpose.sylvester import UNSEEN_TURN
+from sylpose.so3 import derivatives
+from sylpose.sylvester import status_of, unseen_turns
 
-__all__ = ["OneCameraSolution", "solve_one_camera", "solve_unconstrained", "unseen_turns"]
+__all__ = ["OneCameraSolution", "solve_one_camera", "solve_unconstrained"]
 
 FloatArray = NDArray[np.float64]
 
@@ -133,18 +133,6 @@ class _Block(NamedTuple):
     multiplier: FloatArray
     proved: bool
     iterations: int
-
-
-def unseen_turns(information: FloatArray) -> FloatArray:
-    """The unit directions (..., k, 3) of w that are not seen, by the rule of `CentralizedSolution.status`.
-
-    Args:
-        information: (..., 3, 3) of w, 1/rad²; of several, all with the first one's eigenvalues (mirrored solutions).
-    """
-    values, vectors = np.linalg.eigh(information)
-    first = values.reshape(-1, 3)[0]
-    k = int((first < max(1 / UNSEEN_TURN**2, FLAT * first[2])).sum())
-    return transpose(vectors[..., :k])
 
 
 def _views(rotation: ArrayLike, moments: PairMoments, aim: bool) -> Views:
@@ -277,9 +265,8 @@ def _solution(views: Views, axes: FloatArray, block: _Block) -> OneCameraSolutio
     _, hessian = derivatives(q.H, q.h, rotations)
     information = hessian * q.scale / q.variance(rotations[0])
     unseen = unseen_turns(information)
-    status = Status.OK if block.proved else Status.NOT_CERTIFIED
     return OneCameraSolution(
-        status=Status.TURN_NOT_OBSERVABLE if unseen.shape[1] else status,
+        status=status_of(True, block.proved, information[0]),
         rotations=rotations,
         N=N,
         m=m,

@@ -40,7 +40,7 @@ class Views(NamedTuple):
         rotation_x, rotation_y: (C, 3, 3) Q of the turned camera in frames i and j: rows are its axes in the world.
         s_xx, s_yx, s_yy: (C, 2, 2) Σ w xx', Σ w yx', Σ w yy' about the means. Zero for a camera without matches.
         weights: (C,) Σ w, the number of matches when all weights are 1.
-        total: Σ of the traces of all moments as given, to judge what is no more than rounding.
+        total: Σ w (|x|² + |y|²) about the origin, over all cameras, to judge what is no more than rounding.
     """
 
     rotation_x: FloatArray
@@ -108,7 +108,7 @@ def views_of(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool 
     """
     Q = checked_rotations(rotations, len(moments))
     M = np.array([m.matrix for m in moments])
-    return Views(*_second_moments(Q, M, aim), float(np.trace(M, axis1=1, axis2=2).sum()))
+    return Views(*_second_moments(Q, M, aim), float(_squares(M)))
 
 
 def quadratic_of(views: Views, *, symmetric: bool = False) -> Quadratic:
@@ -152,7 +152,7 @@ def quadratics_of(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True,
         Q = checked_rotations(Q, c)
     parts = _second_moments(Q, M, aim)
     H, h, constant = _normal_equations(*parts[:5], symmetric)
-    H, h, constant, scale = _scaled(H, h, constant, np.trace(M, axis1=2, axis2=3).sum(axis=1))
+    H, h, constant, scale = _scaled(H, h, constant, _squares(M))
     return Quadratics(H, h, constant, scale, parts[5].sum(axis=1))
 
 
@@ -220,6 +220,11 @@ def _scaled(
         which = f"problem {int(np.argmax(flat))}: " if len(H) > 1 else ""
         raise ValueError(f"{which}no camera has matches that are spread over its image: there is nothing to turn")
     return (H + transpose(H)) / (2 * scale[:, None, None]), h / scale[:, None], constant / scale, scale
+
+
+def _squares(M: FloatArray) -> FloatArray:
+    """(..., C, 9, 9) matrices of pair moments -> (...) `Views.total`."""
+    return np.asarray(M[..., [2, 5, 6, 7], [2, 5, 6, 7]].sum(axis=(-2, -1)))
 
 
 def _trace_sum(S: FloatArray) -> FloatArray:

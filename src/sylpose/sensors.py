@@ -92,7 +92,7 @@ class RobustSolution:
     """The rotation of the cameras that can be relied upon.
 
     Attributes:
-        status: OK; NOT_CERTIFIED or NOT_CONVERGED as `solution` has it; NOT_CONSISTENT where no majority of cameras agrees,
+        status: that of `solution`; but NOT_CONSISTENT where no majority of cameras agrees,
             or it is not certain which one is wrong (`diagnosis.text`): `solution` is then the likeliest.
         solution: the centralised estimate with the cameras' weights; None where every camera is junk.
         diagnosis: what is wrong with which camera.
@@ -101,6 +101,16 @@ class RobustSolution:
     status: Status
     solution: CentralizedSolution | None
     diagnosis: Diagnosis
+
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3) X_j = R X_i + t in the world frame; NaN where every camera is junk."""
+        return np.full((3, 3), np.nan) if self.solution is None else self.solution.rotation
+
+    @property
+    def information(self) -> FloatArray:
+        """(3, 3) of w, as in `CentralizedSolution`; zero where every camera is junk."""
+        return np.zeros((3, 3)) if self.solution is None else self.solution.information
 
     @property
     def weights(self) -> FloatArray:
@@ -134,10 +144,7 @@ def solve_robust(
         return RobustSolution(Status.NOT_CONSISTENT, None, diagnosis)
     weighted = [_weighted(moments[c], float(diagnosis.weights[c])) for c in kept]
     solution = solve_centralized(Q[kept], weighted, aim=aim)
-    status = Status.OK if solution.certified else Status.NOT_CERTIFIED
-    if not solution.converged:
-        status = Status.NOT_CONVERGED
-    return RobustSolution(status if diagnosis.consistent else Status.NOT_CONSISTENT, solution, diagnosis)
+    return RobustSolution(solution.status if diagnosis.consistent else Status.NOT_CONSISTENT, solution, diagnosis)
 
 
 def diagnose(

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sylpose.equation import transpose
 from sylpose.moments import PairMoments
 from sylpose.orthographic import quadratics_of
 from sylpose.results import Status
@@ -35,6 +36,8 @@ __all__ = [
     "CentralizedSolution",
     "solve_centralized",
     "solve_centralized_batch",
+    "status_of",
+    "unseen_turns",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -42,6 +45,29 @@ FloatArray = NDArray[np.float64]
 
 # A turn about an axis is not seen if its standard deviation (radians) exceeds this.
 UNSEEN_TURN = 0.25
+
+
+def unseen_turns(information: FloatArray) -> FloatArray:
+    """The unit directions (..., k, 3) of w that are not seen: the standard deviation of the turn exceeds `UNSEEN_TURN`, or
+    the cost is as good as flat (information below a millionth of that about the best seen axis).
+
+    Args:
+        information: (..., 3, 3) of w, 1/rad²; of several, all with the first one's eigenvalues (mirrored solutions).
+    """
+    values, vectors = np.linalg.eigh(information)
+    first = values.reshape(-1, 3)[0]
+    k = int((first < max(1 / UNSEEN_TURN**2, FLAT * first[2])).sum())
+    return transpose(vectors[..., :k])
+
+
+def status_of(converged: bool, certified: bool, information: FloatArray) -> Status:
+    """What a rotation is worth whose `information` is (3, 3), the same for all estimators that ignore depth: the first of
+    NOT_CONVERGED, TURN_NOT_OBSERVABLE where there are `unseen_turns`, NOT_CERTIFIED, OK that holds."""
+    if not converged:
+        return Status.NOT_CONVERGED
+    if len(unseen_turns(information)):
+        return Status.TURN_NOT_OBSERVABLE
+    return Status.OK if certified else Status.NOT_CERTIFIED
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,16 +107,8 @@ class CentralizedSolution:
 
     @property
     def status(self) -> Status:
-        """The first of these that holds: NOT_CONVERGED; TURN_NOT_OBSERVABLE where the standard deviation of the turn about
-        some axis exceeds `UNSEEN_TURN`, or the cost is as good as flat along it (information below a millionth of that
-        about the best seen axis); NOT_CERTIFIED; OK.
-        """
-        if not self.converged:
-            return Status.NOT_CONVERGED
-        values = np.linalg.eigvalsh(self.information)
-        if values[0] < max(1 / UNSEEN_TURN**2, FLAT * values[2]):
-            return Status.TURN_NOT_OBSERVABLE
-        return Status.OK if self.certified else Status.NOT_CERTIFIED
+        """See `status_of`."""
+        return status_of(self.converged, self.certified, self.information)
 
 
 @dataclass(frozen=True, eq=False)
