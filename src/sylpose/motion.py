@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -12,9 +12,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.choices import MOTION_METHODS as METHODS
 from sylpose.compiled import rotvec_of
+from sylpose.faults import Solved, without_faults
 from sylpose.features import Matches
 from sylpose.fit import MIN_MATCHES, Fit, covariance_of, fit_terms, forget, no_fit
-from sylpose.paper import ESTIMATORS, faults_of, paper_fit
+from sylpose.paper import ESTIMATORS, paper_fit
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig
 from sylpose.terms import TermData, object_place
@@ -90,14 +91,20 @@ def estimate_motion(
     ]
     if sum(len(term) for term in data) < MIN_MATCHES:
         return _motion(rig, matches, data, no_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), method, 1.0)
-    found_center, found_radius = object_place(data)
-    g = found_center if center is None else _place(center, rig, data)
-    guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
-    size = found_radius if radius is None else radius
+    given = None if center is None else _place(center, rig, data)
     rng = np.random.default_rng(seed)
-    fit = fit_terms(data, g, size, guess, rng)
-    if fit.status.has_pose:
-        fit = _without_faults(data, fit, rig.names, lambda rest: fit_terms(rest, g, size, guess, rng))
+
+    def solve(terms: Sequence[TermData]) -> Solved:
+        found_center, found_radius = object_place(terms)
+        g = found_center if given is None else given
+        guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
+        size = found_radius if radius is None else radius
+        return Solved(fit_terms(terms, g, size, guess, rng), g, size)
+
+    solved = solve(data)
+    if solved.fit.status.has_pose or solved.fit.status is Status.NOT_CONVERGED:
+        solved = without_faults(data, solved, rig.names, solve)
+    fit, g, size = solved
     if method in ESTIMATORS and fit.status is Status.OK:
         fit = paper_fit(method, data, fit, g, rig.names)
     return _motion(rig, matches, data, fit, g, method, size)
@@ -173,24 +180,6 @@ def motion_about(center: FloatArray, fit: Fit) -> RigidTransform:
     """X -> R (X - g) + g + d as a transform."""
     rotation = Rotation.from_matrix(fit.rotation, assume_valid=True)
     return RigidTransform.from_components(center + fit.shift - fit.rotation @ center, rotation)
-
-
-def _without_faults(
-    data: Sequence[TermData], fit: Fit, names: Sequence[str], again: Callable[[Sequence[TermData]], Fit]
-) -> Fit:
-    """The fit with the cameras at fault named; and made again without them, if it has heard any of them."""
-    faults = faults_of(data, fit, names)
-    told = replace(fit, faults=tuple(faults.values()))
-    if not any((fit.weights[i] > 0).any() for i in faults):
-        return told
-    kept = [i for i in range(len(data)) if i not in faults]
-    better = again([data[i] for i in kept])
-    if not better.status.has_pose:
-        return told
-    weights, residuals = [np.zeros(len(term)) for term in data], list(fit.residuals)
-    for i, w, r in zip(kept, better.weights, better.residuals, strict=True):
-        weights[i], residuals[i] = w, r
-    return replace(better.with_matches(weights, residuals), faults=told.faults)
 
 
 def _motion(

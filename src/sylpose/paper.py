@@ -21,19 +21,16 @@ from sylpose.moments import PairMoments
 from sylpose.network import Agreement, solve_exchange, solve_gossip, solve_refine
 from sylpose.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
 from sylpose.results import Status
-from sylpose.sensors import diagnose, suspect_cameras
+from sylpose.sensors import diagnose
 from sylpose.sylvester import UNSEEN_TURN, solve_centralized
 from sylpose.terms import TermData
 from sylpose.translation import translation_from_means, translation_from_moments
 
-__all__ = ["ESTIMATORS", "faults_of", "paper_fit"]
+__all__ = ["ESTIMATORS", "paper_fit"]
 
 FloatArray = NDArray[np.float64]
 Moments = Sequence[PairMoments]
 
-# A camera of whose matches no more than this share are inliers was rejected as a whole. One whose inliers are off by so
-# many times what is usual is odd. What is wrong with either, all of its matches are asked, of which there must be so many.
-REJECTED_SHARE, ODD, ENOUGH = 0.2, 2.0, 8
 # Fewer matches have no second moments.
 SPREAD = 3
 
@@ -116,14 +113,12 @@ def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatA
     Returns:
         the fit with its motion, information, status and `faults` replaced; the weights stay the robust fit's.
     """
-    odd = _rejected(robust) | _noisy(robust)
-    seen = [i for i, w in enumerate(robust.weights) if (w > 0).sum() >= SPREAD or odd[i]]
+    seen = [i for i, w in enumerate(robust.weights) if (w > 0).sum() >= SPREAD]
     if not seen:
         return replace(robust, status=Status.TURN_NOT_OBSERVABLE)
     Q = np.array([data[i].rotation for i in seen])
     inliers = [PairMoments.from_matches(data[i].x, data[i].y, robust.weights[i]) for i in seen]
-    asked = [_moments_of_all(data[i]) if odd[i] else m for i, m in zip(seen, inliers, strict=True)]
-    diagnosis = diagnose(Q, asked, names=[names[data[i].camera] for i in seen])
+    diagnosis = diagnose(Q, inliers, names=[names[data[i].camera] for i in seen])
     # Where it cannot be told which cameras are wrong, all of them are heard, as by the robust fit.
     trust = diagnosis.weights if diagnosis.consistent else np.ones(len(seen))
     moments = [PairMoments(float(t) * m.matrix) for t, m in zip(trust, inliers, strict=True)]
@@ -164,49 +159,3 @@ def _seen(turn: Turn) -> FloatArray:
         values[0] = 0.0
         values[values < 1 / UNSEEN_TURN**2] = 0.0
     return np.asarray((vectors * values) @ vectors.T)
-
-
-def faults_of(data: Sequence[TermData], fit: Fit, names: Sequence[str]) -> dict[int, str]:
-    """By term, a sentence for each camera at fault: a fit has rejected it, or what it sees does not go with the others.
-
-    Args:
-        data: the terms of the fit, one per camera, all of the same reference.
-        names: of the rig's cameras.
-    """
-    rejected = _rejected(fit)
-    odd = rejected | _noisy(fit)
-    if not odd.any():
-        return {}
-    moments = [
-        _moments_of_all(term) if out else PairMoments.from_matches(term.x, term.y, w)
-        for term, out, w in zip(data, odd, fit.weights, strict=True)
-    ]
-    diagnosis = suspect_cameras(
-        np.array([term.rotation for term in data]),
-        moments,
-        fit.rotation,
-        at_fault=np.flatnonzero(rejected).tolist(),
-        names=[names[term.camera] for term in data],
-    )
-    return {i: f.text for i, f in enumerate(diagnosis.faults) if odd[i] and f is not None}
-
-
-def _rejected(fit: Fit) -> NDArray[np.bool_]:
-    """(T,) terms that have next to no inliers."""
-    inliers = np.array([int((w > 0).sum()) for w in fit.weights])
-    matches = np.array([len(w) for w in fit.weights])
-    return (matches >= ENOUGH) & (inliers <= REJECTED_SHARE * matches)
-
-
-def _noisy(fit: Fit) -> NDArray[np.bool_]:
-    """(T,) terms whose inliers are farther off than those of most."""
-    rms = [
-        float(np.sqrt(np.mean(r[w > 0] ** 2))) if (w > 0).any() else 0.0
-        for w, r in zip(fit.weights, fit.residuals, strict=True)
-    ]
-    enough = np.array([len(w) >= ENOUGH for w in fit.weights])
-    return enough & (np.array(rms) > ODD * np.median(rms))
-
-
-def _moments_of_all(term: TermData) -> PairMoments:
-    return PairMoments.from_matches(term.x, term.y)
