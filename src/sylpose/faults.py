@@ -12,6 +12,7 @@ Source: the leave-one-out test is Chow's (Econometrica 28, 1960); its use here i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -94,7 +95,7 @@ def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str
         k, solved = found
         heard[k] = _agreeing(data[k], solved)
         again = _solved(data, heard, solve) if heard[k].any() else None
-        strain = np.inf if again is None else _strain(data[k], again.fit.weights[k], again.fit.residuals[k])
+        strain = np.inf if again is None else float(_strains(data, again.fit)[k])
         if again is not None and not (strain > STRAINED and _noisy(again.fit, k)) and (again.fit.weights[k] > 0).any():
             solved = again
         else:
@@ -167,23 +168,24 @@ def _solved(data: Sequence[TermData], heard: Sequence[BoolArray], solve: Solve) 
 
 
 def _strains(data: Sequence[TermData], fit: Fit) -> FloatArray:
-    """(T,) how much the terms' inliers would rather have a motion of their own."""
-    return np.array([_strain(*each) for each in zip(data, fit.weights, fit.residuals, strict=True)])
-
-
-def _strain(term: TermData, weights: FloatArray, residuals: FloatArray) -> float:
-    """Twice the logarithm of the likelihood ratio of the inliers' own hyperplane, their noise unknown, to the fit: below 0
-    where perspective bends the hyperplane by more than the fit is off; 0 where there are too few inliers.
+    """(T,) how much the terms' inliers would rather have a motion of their own: twice the logarithm of the likelihood ratio
+    of their own hyperplane, their noise unknown, to the fit. Below 0 where perspective bends the hyperplane by more than the
+    fit is off; 0 where there are too few inliers.
     """
-    joint = np.zeros((4, 4))
-    count, mass, squares = _sums(term.x, term.y, weights, residuals, joint)
-    if count < ENOUGH:
-        return 0.0
-    least, second = (term.focal**2 * np.linalg.eigvalsh(joint)[:2]).tolist()
-    # Without parallax both are noise, and the least of them is less than that.
-    own = second if second < (1.0 + SCATTER / np.sqrt(count)) * least else least
-    floor = mass * SIGMA_FLOOR_PX**2
-    return (count - UNKNOWNS) * float(np.log(max(squares, floor) / max(own, floor)))
+    joint = np.zeros((len(data), 4, 4))
+    sums = [
+        _sums(term.x, term.y, w, r, joint[k])
+        for k, (term, w, r) in enumerate(zip(data, fit.weights, fit.residuals, strict=True))
+    ]
+    out = np.zeros(len(data))
+    values = np.linalg.eigvalsh(joint)[:, :2].tolist()
+    for k, (term, (count, mass, squares), (least, second)) in enumerate(zip(data, sums, values, strict=True)):
+        if count >= ENOUGH:
+            # Without parallax both are noise, and the least of them is less than that.
+            own = second if second < (1.0 + SCATTER / math.sqrt(count)) * least else least
+            floor = mass * SIGMA_FLOOR_PX**2
+            out[k] = (count - UNKNOWNS) * math.log(max(squares, floor) / max(term.focal**2 * own, floor))
+    return out
 
 
 @kernel
