@@ -1,27 +1,31 @@
 """What a bad camera does to the paper's estimate, and how well it is found: Monte Carlo over rigs, faults and turns.
 
-    python benchmarks/sensors.py [--scenes 100] [--rigs 4 8 16] [--turns 5 15] [--clean]
+    python benchmarks/sensors.py [--scenes 100] [--rigs 4 8 16] [--turns 5 15] [--clean | --motion]
 
 Cameras stand around an ellipsoid or a box (alternately above and below it, 60 matches each, 0.5 px of noise) that turns
 about any axis; one or more of them are at fault. Errors of the rotation in degrees: with all cameras, with the bad ones
 left out by hand, and by `solve_robust`, medians / 90th percentiles; ratio of robust to by hand, of both. "found": faults
 named; "kind": of those, of the right kind; "unsure": scenes in which the cameras are said to disagree without a name;
-"false": good cameras named, of all good ones. `--clean`: no faults, more rigs and turns.
+"false": good cameras named, of all good ones. `--clean`: no faults, more rigs and turns. `--motion`: `estimate_motion`, with
+cameras whose calibration is turned about any axis, then without faults but with many outliers.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.moments import PairMoments
+from sylpose.motion import estimate_motion
+from sylpose.rig import Rig
 from sylpose.sensors import FaultKind, solve_robust
-from sylpose.simulate import box, ellipsoid, random_motion, ring, simulate_matches
+from sylpose.simulate import OutlierKind, arc, box, dome, ellipsoid, random_motion, ring, simulate_matches
 from sylpose.simulate.bodies import Body
 from sylpose.sylvester import solve_centralized
 
@@ -165,14 +169,67 @@ def clean_table(scenes: int) -> None:
                 )
 
 
+def motion_tables(scenes: int) -> None:
+    """`estimate_motion`: 6 cameras, one of them calibrated wrongly; then rigs without faults, with outliers."""
+    body = ellipsoid((0.15, 0.12, 0.1))
+    print("| calibration off by ° | error / by hand: median, 90 %, worst | named | others named |")
+    print("|---|---|---|---|")
+    for off in (0, 3, 5, 10, 20, 45):
+        ratios, named, others = [], 0, 0
+        for seed in range(scenes):
+            rig, rng = ring(6, height=[0.4 * (-1) ** k for k in range(6)]), np.random.default_rng(seed)
+            pair = simulate_matches(rig, body, random_motion(10.0, 0.02, rng), rng=rng)
+            axis = rng.standard_normal(3)
+            wrong = Rotation.from_rotvec(np.deg2rad(off) * axis / np.linalg.norm(axis))
+            bad = replace(
+                rig["cam_2"],
+                camera_from_world=RigidTransform.from_rotation(wrong) * rig["cam_2"].camera_from_world,
+            )
+            found = estimate_motion(Rig([bad if c.name == "cam_2" else c for c in rig], rig.unit), pair.matches)
+            others_of = [name for name in rig.names if name != "cam_2"]
+            kept = [m for m, name in zip(pair.matches, rig.names, strict=True) if name != "cam_2"]
+            by_hand = estimate_motion(rig.subset(others_of), kept)
+            errors = [
+                180.0 if m.motion is None else np.rad2deg((m.motion.rotation * pair.motion.rotation.inv()).magnitude())
+                for m in (found, by_hand)
+            ]
+            ratios.append(errors[0] / errors[1])
+            named += any("cam_2" in text for text in found.faults)
+            others += any("cam_2" not in text for text in found.faults)
+        median, most, worst = np.quantile(ratios, [0.5, 0.9, 1.0])
+        print(
+            f"| {off} | {median:.2f}, {most:.2f}, {worst:.2f} | {named} of {scenes} | {others} of {scenes} |",
+            flush=True,
+        )
+    print()
+    print("| cameras | outliers | motions in which a good camera is named |")
+    print("|---|---|---|")
+    for n in (3, 4, 8):
+        for kind in get_args(OutlierKind):
+            alarms, total = 0, 0
+            for seed in range(scenes):
+                for share in (0.3, 0.5):
+                    for rig in (ring(n, height=[0.4 * (-1) ** k for k in range(n)]), arc(n, 20.0), dome(n)):
+                        rng = np.random.default_rng([seed, n, total])
+                        motion = random_motion((2.0, 10.0)[seed % 2], 0.02, rng)
+                        seen = (body, box())[seed // 2 % 2]
+                        pair = simulate_matches(rig, seen, motion, rng=rng, outliers=share, outlier_kind=kind)
+                        alarms += bool(estimate_motion(rig, pair.matches).faults)
+                        total += 1
+            print(f"| {n} | {kind}, 30 and 50 % | {alarms} of {total} |", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=100)
     parser.add_argument("--rigs", type=int, nargs="+", default=[4, 8, 16])
     parser.add_argument("--turns", type=float, nargs="+", default=[5, 15])
     parser.add_argument("--clean", action="store_true")
+    parser.add_argument("--motion", action="store_true")
     options = parser.parse_args()
-    if options.clean:
+    if options.motion:
+        motion_tables(options.scenes)
+    elif options.clean:
         clean_table(options.scenes)
     else:
         table(options.rigs, options.turns, options.scenes)

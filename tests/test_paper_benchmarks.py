@@ -12,6 +12,7 @@ import equations
 import numpy as np
 import paper_times
 import pytest
+import sensors
 
 from sylpose.simulate import ellipsoid
 
@@ -29,6 +30,14 @@ def test_sensors_as_a_user_types_it() -> None:
     assert done.returncode == 0, done.stderr
     rows = [line.split("|") for line in done.stdout.splitlines() if line.startswith("| 4 ")]
     assert {row[3].strip() for row in rows} >= {"junk", "frozen", "turned 90", "mirrored"}
+
+
+def test_motions_with_a_wrong_calibration(capsys: pytest.CaptureFixture[str]) -> None:
+    sensors.motion_tables(1)
+    said = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("| 0 |") and line.endswith("| 0 of 1 | 0 of 1 |") for line in said)
+    assert any(line.startswith("| 45 |") and "| 1 of 1 |" in line for line in said)
+    assert sum(line.endswith(" of 6 |") for line in said) == 9
 
 
 def test_times_are_of_the_problem_they_name(
