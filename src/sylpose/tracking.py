@@ -99,7 +99,8 @@ class Tracker:
         boxes: where the object is in the first frame, per camera that sees it, pixels; None: the object is what moves
             against the standing background.
         method: "landmarks" (places of the features on the object grow certain over time: drifts least), "epipolar"
-            (epipolar geometry against several references) or "sylvester" (the paper's estimator, frame to frame).
+            (epipolar geometry against several references), one of the paper's estimators frame to frame (as in
+            `estimate_motion`), or "known-depth" (Sylvester's equation for landmarks whose depth is known by now).
         features: "sift" (SIFT in every frame, as in the paper), "klt" (followed from image to image, SIFT only where that
             does not suffice: several times faster, and more precise) or "auto": "klt" for the method "landmarks", else
             "sift".
