@@ -38,6 +38,8 @@ BoolArray = NDArray[np.bool_]
 STRAINED = 20.0
 # The unknowns of a hyperplane; a camera has so many inliers at least that they tell something of it.
 UNKNOWNS, ENOUGH = 4, 8
+# So many cameras are left out at most.
+MOST = 8
 # So many of the most strained cameras are left out in turn; and of all, at most, where none of these leaves the others at
 # ease.
 TRIED, TRIED_ALL = 3, 16
@@ -77,7 +79,7 @@ def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str
     """The solution without the cameras at fault, of which each is named in `Fit.faults`.
 
     With two cameras it is not known which is wrong; with three only where one is by far the likeliest. At most every other
-    camera is left out. Where no camera is strained this takes some ten microseconds per camera.
+    camera is left out, and no more than eight. Where no camera is strained this takes some ten microseconds per camera.
 
     Args:
         data: the terms of the fit, one per camera, all in one reference frame.
@@ -88,11 +90,13 @@ def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str
     heard = [np.ones(len(term), dtype=bool) for term in data]
     out: list[int] = []
     first = solved
-    for _ in range((len(data) - 1) // 2):
+    asked: set[int] = set()
+    for _ in range(min((len(data) - 1) // 2, MOST)):
         found = _worst(data, heard, solved, solve)
-        if found is None:
+        if found is None or found[0] in asked:
             break
         k, solved = found
+        asked.add(k)
         heard[k] = _agreeing(data[k], solved)
         again = _solved(data, heard, solve) if heard[k].any() else None
         strain = np.inf if again is None else float(_strains(data, again.fit)[k])
@@ -101,7 +105,7 @@ def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str
         else:
             heard[k][:] = False
             out.append(k)
-    if out and _strains(data, solved.fit).max() > AT_EASE:
+    if out and _strains(data, solved.fit).max() > AT_EASE + _chance(len(data)):
         # Leaving out does not explain it: all are heard.
         solved, out = first, []
     if not solved.fit.status.has_pose:
@@ -124,7 +128,7 @@ def _worst(
     cameras = sum(bool(mask.any()) for mask in heard)
     # A camera may keep the solver from settling at all: any of them.
     strains = _strains(data, solved.fit) if solved.fit.status.has_pose else np.full(len(data), np.inf)
-    if cameras < 3 or strains.max() < STRAINED:
+    if cameras < 3 or strains.max() < STRAINED + _chance(cameras):
         return None
     counts = np.array([(w > 0).sum() for w in solved.fit.weights])
     ranks: dict[int, tuple[bool, float]] = {}
@@ -136,7 +140,7 @@ def _worst(
         if rest is not None:
             left = _strains(data, rest.fit)
             lost = sum(counts[i] - (w > 0).sum() for i, w in enumerate(rest.fit.weights) if i != k)
-            ranks[k], rests[k] = (bool(left.max() <= AT_EASE), float(left.sum() + LOST * lost)), rest
+            ranks[k], rests[k] = (bool(left.max() <= AT_EASE + _chance(cameras)), float(left.sum() + LOST * lost)), rest
     if not ranks:
         return None
     best, *others = sorted(ranks, key=lambda k: (not ranks[k][0], ranks[k][1]))
@@ -147,6 +151,11 @@ def _worst(
     if not clear or strains.sum() - costs[best] < STRAINED * usual:
         return None
     return best, rests[best]
+
+
+def _chance(cameras: int) -> float:
+    """By how much more the most strained of so many cameras is strained by chance than one of four."""
+    return 2.0 * math.log(max(cameras / 4, 1.0))
 
 
 def _still(data: Sequence[TermData], k: int) -> bool:
