@@ -125,7 +125,8 @@ def test_cameras_of_different_sizes() -> None:
         assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
 
 
-@pytest.mark.parametrize("method", METHODS)
+# exchange and gossip: below
+@pytest.mark.parametrize("method", [method for method in METHODS if method not in ("exchange", "gossip")])
 def test_every_method_runs(clip: Clip, method: str) -> None:
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, method=method))
     assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * (FRAMES - 1)
