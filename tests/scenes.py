@@ -103,9 +103,19 @@ def truth(pair: SimulatedPair, center: FloatArray) -> tuple[FloatArray, FloatArr
     return pair.motion.rotation.as_matrix(), np.asarray(pair.motion.apply(center) - center)
 
 
+def random_rotations(rng: np.random.Generator, n: int) -> FloatArray:
+    """(n, 3, 3), evenly over all rotations."""
+    return np.asarray(Rotation.random(n, rng=rng).as_matrix())
+
+
+def angle(a: FloatArray, b: FloatArray) -> float:
+    """Between two rotation matrices, radians."""
+    return float(Rotation.from_matrix(a @ b.T).magnitude())
+
+
 def turn_between(a: FloatArray, b: FloatArray) -> float:
     """The angle between two rotation matrices, degrees."""
-    return float(np.rad2deg(Rotation.from_matrix(a @ b.T).magnitude()))
+    return float(np.rad2deg(angle(a, b)))
 
 
 def error(pair: SimulatedPair, found: Motion) -> FloatArray:

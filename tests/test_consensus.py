@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from test_sylvester import angle, moments_of, noisy_problem, quick, seeds
+from scenes import angle
+from test_sylvester import moments_of, noisy_problem, quick, seeds
 
 from sylpose.consensus import (
     PATIENCE,

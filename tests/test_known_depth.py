@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scenes import angle
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -26,10 +27,6 @@ P = np.eye(3)[:2]
 
 def random_rotation(rng: np.random.Generator) -> FloatArray:
     return np.asarray(Rotation.random(rng=rng).as_matrix())
-
-
-def angle(a: FloatArray, b: FloatArray) -> float:
-    return float(Rotation.from_matrix(a @ b.T).magnitude())
 
 
 def kabsch(x: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:

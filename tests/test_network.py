@@ -14,16 +14,14 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scenes import BODY, around
+from scenes import BODY, angle, around, random_rotations
 from scipy.spatial.transform import Rotation
 from test_sylvester import (
-    angle,
     general_cameras,
     moments_of,
     noisy_problem,
     orthographic,
     quick,
-    random_rotations,
     seeds,
 )
 

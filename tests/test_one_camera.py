@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
+from scenes import angle
 from scipy.spatial.transform import Rotation
 
 from sylpose import so3
@@ -27,10 +28,6 @@ MIRROR = np.diag([1.0, 1, -1])
 
 def random_rotation(rng: np.random.Generator) -> FloatArray:
     return np.asarray(Rotation.random(rng=rng).as_matrix())
-
-
-def angle(a: FloatArray, b: FloatArray) -> float:
-    return float(Rotation.from_matrix(a @ b.T).magnitude())
 
 
 def cloud(rng: np.random.Generator, n: int = 12) -> FloatArray:

@@ -10,6 +10,7 @@ import sensors as bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scenes import angle, random_rotations
 from scipy.spatial.transform import Rotation
 
 from sylpose import agreement
@@ -22,14 +23,6 @@ from sylpose.sylvester import solve_centralized
 FloatArray = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 quick = settings(max_examples=15, deadline=None)
-
-
-def random_rotations(rng: np.random.Generator, n: int) -> FloatArray:
-    return np.asarray(Rotation.random(n, rng=rng).as_matrix())
-
-
-def angle(a: FloatArray, b: FloatArray) -> float:
-    return float(Rotation.from_matrix(a @ b.T).magnitude())
 
 
 def general_cameras(rng: np.random.Generator, n: int) -> FloatArray:

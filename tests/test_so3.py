@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scenes import angle, random_rotations
 from scipy.spatial.transform import Rotation
 
 from sylpose import so3
@@ -19,14 +20,6 @@ from sylpose import so3
 FloatArray = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 quick = settings(max_examples=25, deadline=None)
-
-
-def random_rotations(rng: np.random.Generator, n: int) -> FloatArray:
-    return np.asarray(Rotation.random(n, rng=rng).as_matrix())
-
-
-def angle(a: FloatArray, b: FloatArray) -> float:
-    return float(Rotation.from_matrix(a @ b.T).magnitude())
 
 
 def camera_cost(seed: int, cameras: int, noise: float = 0.1) -> tuple[FloatArray, FloatArray]:

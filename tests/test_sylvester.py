@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scenes import angle, random_rotations
 from scipy.spatial.transform import Rotation
 
 from sylpose.equation import solve_generalized_sylvester
@@ -25,14 +26,6 @@ FloatArray = NDArray[np.float64]
 Matches = list[tuple[FloatArray, FloatArray]]
 seeds = st.integers(0, 2**32 - 1)
 quick = settings(max_examples=25, deadline=None)
-
-
-def random_rotations(rng: np.random.Generator, n: int) -> FloatArray:
-    return np.asarray(Rotation.random(n, rng=rng).as_matrix())
-
-
-def angle(a: FloatArray, b: FloatArray) -> float:
-    return float(Rotation.from_matrix(a @ b.T).magnitude())
 
 
 def general_cameras(rng: np.random.Generator, n: int) -> FloatArray:

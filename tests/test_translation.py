@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scenes import BODY, around
+from scenes import BODY, around, random_rotations
 from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
@@ -20,10 +20,6 @@ seeds = st.integers(0, 2**32 - 1)
 quick = settings(max_examples=25, deadline=None)
 # A first guess that knows nothing.
 NOTHING = np.zeros(3), np.zeros((3, 3))
-
-
-def random_rotations(rng: np.random.Generator, n: int) -> FloatArray:
-    return np.asarray(Rotation.random(n, rng=rng).as_matrix())
 
 
 # --- from the means ---------------------------------------------------------------------------------------------------

@@ -52,13 +52,10 @@ def translation_from_means(
     Raises:
         ValueError: shapes that do not fit, no rotations, no matches, a centre that is not in front of a camera.
     """
-    Q, o, R, g, seen = _checked(rotations, centers, moments, rotation, center)
-    variance = quadratic_of(views_of(Q, moments)).variance(R)
-    Q, o = Q[seen], o[seen]
-    used = [m for m, s in zip(moments, seen, strict=True) if s]
+    Q, o, used, R, g = _checked(rotations, centers, moments, rotation, center)
+    variance = quadratic_of(views_of(Q, used)).variance(R)
     depth = np.einsum("ci,ci->c", Q[:, 2], g - o)
-    x = np.array([[*m.mean_x, 1.0] for m in used])
-    y = np.array([[*m.mean_y, 1.0] for m in used])
+    x, y = _mean_rays(used)
     offset = o + depth[:, None] * np.einsum("cji,cj->ci", Q, x) - g
     # Per camera the two rows [I, -ȳ] Q / Z, over their standard deviation.
     spread = np.array([np.trace(m.s_xx) / m.count for m in used])
@@ -101,14 +98,11 @@ def translation_from_moments(
     Raises:
         ValueError: as `translation_from_means`; a start or a prior of another shape, or not finite.
     """
-    Q, o, R, g, seen = _checked(rotations, centers, moments, rotation, center)
+    Q, o, used, R, g = _checked(rotations, centers, moments, rotation, center)
     first, known = np.asarray(start, dtype=float), np.asarray(prior, dtype=float)
     if first.shape != (3,) or known.shape != (3, 3) or not (np.isfinite(first).all() and np.isfinite(known).all()):
         raise ValueError(f"start must be (3,) and prior (3, 3), finite; got shapes {first.shape} and {known.shape}")
-    Q, o = Q[seen], o[seen]
-    used = [m for m, s in zip(moments, seen, strict=True) if s]
-    x = np.array([[*m.mean_x, 1.0] for m in used])
-    y = np.array([[*m.mean_y, 1.0] for m in used])
+    x, y = _mean_rays(used)
     values, vectors = np.linalg.eigh(np.array([m.matrix for m in used]))
     roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]  # M = root root'
 
@@ -145,8 +139,8 @@ def translation_from_moments(
 
 def _checked(
     rotations: ArrayLike, centers: ArrayLike, moments: Sequence[PairMoments], rotation: ArrayLike, center: ArrayLike
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Q, o, R, g and which cameras have matches."""
+) -> tuple[FloatArray, FloatArray, list[PairMoments], FloatArray, FloatArray]:
+    """Q, o and moments of the cameras that have matches; R, g."""
     Q = checked_rotations(rotations, len(moments))
     R = checked_rotations(np.asarray(rotation, dtype=float)[None], 1)[0]
     o, g = np.asarray(centers, dtype=float), np.asarray(center, dtype=float)
@@ -158,4 +152,9 @@ def _checked(
     behind = seen & (np.einsum("ci,ci->c", Q[:, 2], g - o) <= 0)
     if behind.any():
         raise ValueError(f"the object's centre is not in front of camera {int(np.argmax(behind))}")
-    return Q, o, R, g, seen
+    return Q[seen], o[seen], [m for m, s in zip(moments, seen, strict=True) if s], R, g
+
+
+def _mean_rays(moments: Sequence[PairMoments]) -> tuple[FloatArray, FloatArray]:
+    """(C, 3) x̄ and ȳ with a third coordinate of 1."""
+    return np.array([[*m.mean_x, 1.0] for m in moments]), np.array([[*m.mean_y, 1.0] for m in moments])

@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from sylpose.experiments.table import Table
-from sylpose.report.plots import INK, new_figure, save_figure
+from sylpose.report.plots import INK, finish, new_figure, save_figure
 
 __all__ = ["THE_TURN", "Reference", "draw_bars", "draw_lines"]
 
@@ -85,7 +85,7 @@ def draw_lines(
             _plain_numbers(panel.xaxis)
         elif len(levels) <= MARKED:
             panel.set_xticks(levels)
-        _finish(panel)
+        finish(panel)
     handles, labels = next(iter(panels.values())).get_legend_handles_labels()
     if len(handles) > 1:
         # In one row if there is room for it, by the usual width of letters, in inches; else in two.
@@ -113,7 +113,7 @@ def draw_bars(table: Table, path: Path, *, title: str) -> None:
         panel.set_ylim(len(methods) - 0.5, -0.5)
         panel.set_xscale("log")
         _plain_numbers(panel.xaxis)
-        _finish(panel)
+        finish(panel)
     left, right = panel.get_xlim()  # which all panels share
     panel.set_xlim(left, right * (right / left) ** 0.15)  # room for the numbers at the far end
     save_figure(figure, path)
@@ -148,11 +148,3 @@ def _plain_numbers(axis: Axis) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 1000 * low else (1.0,)))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
-
-
-def _finish(panel: Axes) -> None:
-    panel.grid(True, color="#DDDDDD", linewidth=0.7)
-    panel.set_axisbelow(True)
-    panel.spines[["top", "right"]].set_visible(False)
-    panel.spines[["left", "bottom"]].set_color("#999999")
-    panel.tick_params(colors=INK)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from sylpose.report.files import writing
 from sylpose.results import FramePose, Status, Trajectory
 
-__all__ = ["camera_colors", "new_figure", "plot_trajectory", "save_figure", "summary"]
+__all__ = ["camera_colors", "finish", "new_figure", "plot_trajectory", "save_figure", "summary"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -130,7 +130,7 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
 
     shading = _shade(panels, trajectory)
     for panel in panels:
-        _finish(panel)
+        finish(panel)
     inliers.set_ylim(bottom=0)
     residuals.set_ylim(bottom=0)
     pad = 0.01 * (times[-1] - times[0]) or 0.5
@@ -187,7 +187,8 @@ def _line(
     panel.fill_between(x, y - 2 * sigma, y + 2 * sigma, color=color, alpha=0.18, linewidth=0)
 
 
-def _finish(panel: Axes) -> None:
+def finish(panel: Axes) -> None:
+    """Grid, frame and colours, the same in all figures."""
     panel.grid(True, color="#DDDDDD", linewidth=0.7)
     panel.set_axisbelow(True)
     panel.spines[["top", "right"]].set_visible(False)
