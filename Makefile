@@ -24,7 +24,7 @@ demo: $(VENV)/.installed
 
 # Compiled kernels do not notice that a kernel which they call in another file has changed.
 test: lint
-	-find src/sylpose/__pycache__ -name '*.nb[ic]' ! -newer "$$(ls -t src/sylpose/*.py | head -1)" -delete
+	-find src -name '*.nb[ic]' ! -newer "$$(find src -name '*.py' -exec ls -t {} + | head -1)" -delete
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: $(VENV)/.installed-dev

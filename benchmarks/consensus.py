@@ -19,20 +19,29 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
-from depth_plane import recorded
-from numpy.typing import NDArray
 
-from sylpose import consensus, open_session
-from sylpose.consensus import RefineState, refine_start, refine_step
-from sylpose.messages import Inbox, Packet
+from benchmarks.depth_plane import recorded
+from sylpose import open_session
 from sylpose.moments import PairMoments
-from sylpose.network import NO_FAULTS, Agreement, Faults, Nonsense, run, solve_exchange, solve_gossip, solve_refine
+from sylpose.numerics.arrays import FloatArray
+from sylpose.paper.centralized import CentralizedSolution, solve_centralized
+from sylpose.paper.distributed import refine as consensus
+from sylpose.paper.distributed.messages import Inbox, Packet
+from sylpose.paper.distributed.refine import RefineState, refine_start, refine_step
+from sylpose.paper.distributed.simulated import (
+    NO_FAULTS,
+    Agreement,
+    Faults,
+    Nonsense,
+    run,
+    solve_exchange,
+    solve_gossip,
+    solve_refine,
+)
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import arc, dome, ellipsoid, random_motion, ring, simulate_matches
-from sylpose.sylvester import CentralizedSolution, solve_centralized
 
-FloatArray = NDArray[np.float64]
 Problem = tuple[FloatArray, list[PairMoments], CentralizedSolution]
 
 COUNTS = (3, 4, 6, 8, 12, 16, 32)

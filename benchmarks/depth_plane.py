@@ -18,21 +18,20 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import estimate_motion, open_session
 from sylpose.capture import Session
-from sylpose.depth_plane import DepthPlaneSolution, solve_depth_plane
-from sylpose.features import Features, Matches, detect, match_features
+from sylpose.features.sift import Features, detect, match_features
+from sylpose.matches import Matches
 from sylpose.moments import PairMoments
-from sylpose.region import polygon_mask, region_polygon, volume_from_boxes
+from sylpose.numerics.arrays import FloatArray
+from sylpose.paper.centralized import solve_centralized
+from sylpose.paper.depth_plane import DepthPlaneSolution, solve_depth_plane
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import Body, arc, box, ellipsoid, plane, random_motion, ring, simulate_matches
-from sylpose.sylvester import solve_centralized
-
-FloatArray = NDArray[np.float64]
+from sylpose.tracking.region import polygon_mask, region_polygon, volume_from_boxes
 
 BODIES = {
     "sphere": ellipsoid((0.15, 0.15, 0.15)),

@@ -18,12 +18,11 @@ import warnings
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
-from sylpose.equation import Method, SingularSylvesterError, solve_generalized_sylvester, solve_sylvester
+from sylpose.numerics.arrays import FloatArray
+from sylpose.paper.equation import Method, SingularSylvesterError, solve_generalized_sylvester, solve_sylvester
 
-FloatArray = NDArray[np.float64]
 Solve = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 SIZES = (2, 3, 6, 7, 8, 9, 14, 16, 30, 100, 300)

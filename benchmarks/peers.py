@@ -6,14 +6,12 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Camera, Rig
 
 __all__ = ["colmap_pose", "pinhole_of", "poselib_matches", "poselib_pose", "poselib_rig"]
-
-FloatArray = NDArray[np.float64]
 
 
 def pinhole_of(camera: Camera) -> list[float]:

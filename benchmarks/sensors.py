@@ -18,18 +18,16 @@ from dataclasses import replace
 from typing import NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.moments import PairMoments
-from sylpose.motion import estimate_motion
+from sylpose.numerics.arrays import FloatArray
+from sylpose.paper.bad_cameras import FaultKind, solve_robust
+from sylpose.paper.centralized import solve_centralized
 from sylpose.rig import Rig
-from sylpose.sensors import FaultKind, solve_robust
 from sylpose.simulate import OutlierKind, arc, box, dome, ellipsoid, random_motion, ring, simulate_matches
 from sylpose.simulate.bodies import Body
-from sylpose.sylvester import solve_centralized
-
-FloatArray = NDArray[np.float64]
+from sylpose.two_frames.motion import estimate_motion
 
 
 class Case(NamedTuple):

@@ -24,13 +24,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tracking_report import HEADER, Row, line, load, must_hold, save, score, worse_than
-from tracking_scenes import BUILDERS, build, make
+
+from benchmarks.tracking_report import HEADER, Row, line, load, must_hold, save, score, worse_than
+from benchmarks.tracking_scenes import BUILDERS, build, make
 
 RUN = """
 import json, pathlib, resource, sys, time
 from sylpose import open_session, track_session
-from sylpose.fit import warm_up
+from sylpose.two_frames.fit import warm_up
 session, out, options = sys.argv[1:4]
 warm_up()
 memory, status = [], pathlib.Path("/proc/self/statm")

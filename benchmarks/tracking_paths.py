@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
+
+from sylpose.numerics.arrays import FloatArray
 
 __all__ = ["Path", "away", "bump", "crossing", "loop", "smooth_step", "swings", "tumble", "window"]
 
-FloatArray = NDArray[np.float64]
 Path = Callable[[float], RigidTransform]
 # (n,) frames -> (n,) a number at each.
 Profile = Callable[[FloatArray], FloatArray]

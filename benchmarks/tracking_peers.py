@@ -22,18 +22,17 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
-from peers import colmap_pose, pinhole_of, poselib_matches, poselib_pose, poselib_rig
 from scipy.spatial.transform import RigidTransform
 
+from benchmarks.peers import colmap_pose, pinhole_of, poselib_matches, poselib_pose, poselib_rig
 from sylpose.capture import Session, open_session
-from sylpose.features import Features, detect, match_features
+from sylpose.features.sift import Features, detect, match_features
+from sylpose.numerics.arrays import FloatArray
 from sylpose.report.files import read_tum, write_tum
 from sylpose.rig import Camera
 
 __all__ = ["PEERS", "masked_features", "poselib_chain", "pycolmap_mapping"]
 
-FloatArray = NDArray[np.float64]
 # By frame number: world_from_object.
 Poses = dict[int, RigidTransform]
 

@@ -11,14 +11,13 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.report.files import read_trajectory, read_tum
 
 __all__ = ["HEADER", "Row", "errors", "line", "load", "must_hold", "save", "score", "worse_than"]
 
-FloatArray = NDArray[np.float64]
 
 # An object is found again where its pose is right to within this.
 RIGHT_DEG, RIGHT_MM = 2.0, 20.0
@@ -80,7 +79,7 @@ class Row:
 
 def errors(
     estimate: tuple[FloatArray, RigidTransform], truth: tuple[FloatArray, RigidTransform], center: FloatArray
-) -> tuple[NDArray[np.int64], FloatArray]:
+) -> tuple[IntArray, FloatArray]:
     """Errors of the motion since the first pose that both have, as shared/tools/score.py defines it.
 
     Args:
@@ -140,9 +139,7 @@ def _spread(values: FloatArray) -> Spread:
     return Spread(float(np.median(values)), float(values.max()), float(values[-1]), float(np.sqrt((tail**2).mean())))
 
 
-def _nees(
-    frames: NDArray[np.int64], off: FloatArray, times: FloatArray, sigma: dict[float, FloatArray]
-) -> float | None:
+def _nees(frames: IntArray, off: FloatArray, times: FloatArray, sigma: dict[float, FloatArray]) -> float | None:
     known = np.array(list(sigma))
     squares = []
     for frame, error in zip(frames[1:], off[1:], strict=True):
@@ -158,9 +155,7 @@ def _read_shares(path: Path) -> FloatArray:
     return np.array([[float(cell) for cell in row[1:]] for row in rows])
 
 
-def _lost_and_found(
-    row: Row, frames: NDArray[np.int64], right: NDArray[np.bool_], deg: FloatArray, shares: FloatArray
-) -> Row:
+def _lost_and_found(row: Row, frames: IntArray, right: BoolArray, deg: FloatArray, shares: FloatArray) -> Row:
     hidden = np.flatnonzero((shares == 0).all(axis=1))
     if not len(hidden):
         return row

@@ -19,17 +19,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
-from tracking_paths import Path as Motion
-from tracking_paths import away, bump, crossing, loop, swings, tumble, window
 
+from benchmarks.tracking_paths import Path as Motion
+from benchmarks.tracking_paths import away, bump, crossing, loop, swings, tumble, window
+from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, Recording, Scene, TexturedBody, arc, chamfered_box, write_recording
 
 __all__ = ["BUILDERS", "build", "make"]
 
-FloatArray = NDArray[np.float64]
 
 SIZE = (640, 480)
 DISTANCE = 1.5

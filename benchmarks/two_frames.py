@@ -34,8 +34,10 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from two_frames_bound import bounds, sampled_errors
-from two_frames_report import (
+
+import sylpose
+from benchmarks.two_frames_bound import bounds, sampled_errors
+from benchmarks.two_frames_report import (
     FAILED_DEG,
     FAILED_MM,
     Results,
@@ -51,10 +53,8 @@ from two_frames_report import (
     too_slow,
     worse_than,
 )
-from two_frames_scenes import ROWS, Row, Scene, make_scene
-from two_frames_solvers import LOADERS, Worker, options_of
-
-import sylpose
+from benchmarks.two_frames_scenes import ROWS, Row, Scene, make_scene
+from benchmarks.two_frames_solvers import LOADERS, Worker, options_of
 
 PEERS = ("poselib", "pycolmap")
 # Seconds per call. PoseLib takes 10 to 100 ms or for ever, COLMAP 1 to 6 s.

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
-from two_frames_scenes import Scene
+
+from benchmarks.two_frames_scenes import Scene
+from sylpose.numerics.arrays import FloatArray
 
 __all__ = ["bounds", "sampled_errors"]
 
-FloatArray = NDArray[np.float64]
 
 SAMPLES = 200
 

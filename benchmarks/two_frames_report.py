@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from rich import box
 from rich.table import Table
-from two_frames_scenes import ROWS, Row
+
+from benchmarks.two_frames_scenes import ROWS, Row
+from sylpose.numerics.arrays import FloatArray
 
 __all__ = [
     "Figures",
@@ -30,7 +31,6 @@ __all__ = [
     "worse_than",
 ]
 
-FloatArray = NDArray[np.float64]
 
 # Median, 90th and 99th percentile.
 QUANTILES = (0.5, 0.9, 0.99)

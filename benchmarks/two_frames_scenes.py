@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import Body, OutlierKind, arc, box, cloud, dome, ellipsoid, random_motion, ring, simulate_matches
 
 __all__ = ["ROWS", "Row", "Scene", "make_scene"]
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 BODIES: dict[str, Body] = {
     "ellipsoid": ellipsoid((0.15, 0.12, 0.1)),

@@ -11,9 +11,10 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-from peers import colmap_pose, pinhole_of, poselib_matches, poselib_pose, poselib_rig
 from scipy.spatial.transform import RigidTransform
-from two_frames_scenes import Scene
+
+from benchmarks.peers import colmap_pose, pinhole_of, poselib_matches, poselib_pose, poselib_rig
+from benchmarks.two_frames_scenes import Scene
 
 __all__ = ["LOADERS", "Answer", "Worker", "options_of"]
 
@@ -142,9 +143,9 @@ def load_sylpose() -> Prepare:
     """Ours, with its defaults."""
     import cv2
 
-    from sylpose.features import Matches
-    from sylpose.motion import estimate_motion
-    from sylpose.pose import estimate_pose
+    from sylpose.known_model.pose import estimate_pose
+    from sylpose.matches import Matches
+    from sylpose.two_frames.motion import estimate_motion
 
     cv2.setNumThreads(1)
 

@@ -14,8 +14,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from sylpose import simulate
-from sylpose.capture import FrameSet
-from sylpose.tracking import track
+from sylpose.frames import FrameSet
+from sylpose.tracking.tracker import track
 
 
 def frame_sets(scene: simulate.Scene) -> Iterator[FrameSet]:

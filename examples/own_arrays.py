@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import Camera, Matches, Motion, PairMoments, Rig, estimate_motion, estimate_pose, open_session
-from sylpose.features import detect, match_features
+from sylpose.features.sift import detect, match_features
 from sylpose.simulate import ellipsoid, random_motion, simulate_matches
 
 

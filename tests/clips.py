@@ -7,21 +7,20 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.capture import Box, FrameSet
+from sylpose.frames import Box, FrameSet
+from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.results import Status
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, DemoTruth, Scene, TexturedBody, demo_scene, demo_truth, render_frames
 from sylpose.simulate.render import Path
-from sylpose.tracking import TrackedFrame
+from sylpose.tracking.tracker import TrackedFrame
 
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Images = Sequence[Image | None]
-Masks = Sequence[NDArray[np.bool_] | None]
+Masks = Sequence[BoolArray | None]
 
 SIZE = (320, 240)
 RATE = 30
@@ -158,7 +157,7 @@ def statuses(tracked: Iterable[TrackedFrame]) -> list[Status]:
     return [f.pose.status for f in tracked]
 
 
-def inliers(tracked: Iterable[TrackedFrame]) -> NDArray[np.int64]:
+def inliers(tracked: Iterable[TrackedFrame]) -> IntArray:
     return np.array([f.pose.inliers for f in tracked])
 
 

@@ -7,27 +7,15 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scenes import around
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features import Matches
-from sylpose.motion import estimate_motion
+from sylpose.matches import Matches
+from sylpose.numerics.arrays import FloatArray
 from sylpose.results import Motion, Status
-from sylpose.rig import Rig
-from sylpose.simulate import (
-    Body,
-    SimulatedPair,
-    arc,
-    camera_at,
-    ellipsoid,
-    plane,
-    random_motion,
-    ring,
-    simulate_matches,
-)
-
-FloatArray = NDArray[np.float64]
+from sylpose.rig import Rig, camera_at
+from sylpose.simulate import Body, SimulatedPair, arc, ellipsoid, plane, random_motion, ring, simulate_matches
+from sylpose.two_frames.motion import estimate_motion
+from tests.scenes import around
 
 OK, SCALE, TURN = Status.OK, Status.SCALE_NOT_OBSERVABLE, Status.TURN_NOT_OBSERVABLE
 NOTHING, FEW, JUNK = Status.NO_MOTION, Status.TOO_FEW_MATCHES, Status.NOT_CONSISTENT

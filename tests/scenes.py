@@ -7,18 +7,16 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.features import Matches
-from sylpose.minimize import search
+from sylpose.matches import Matches
 from sylpose.moments import PairMoments
+from sylpose.numerics.arrays import FloatArray
 from sylpose.results import Motion
 from sylpose.rig import Rig
 from sylpose.simulate import SimulatedPair, ellipsoid, ring
-from sylpose.terms import Stack, TermData
-
-FloatArray = NDArray[np.float64]
+from sylpose.two_frames.search import search
+from sylpose.two_frames.terms import Stack, TermData
 
 BODY = ellipsoid((0.15, 0.12, 0.1))
 

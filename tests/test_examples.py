@@ -6,9 +6,11 @@ import runpy
 from pathlib import Path
 
 import pytest
-from conftest import FRAMES
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+from tests.conftest import FRAMES
+from tests.where import REPOSITORY
+
+EXAMPLES = REPOSITORY / "examples"
 
 
 def run_example(

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from sylpose.moments import PairMoments
+from sylpose.numerics.arrays import FloatArray
 
-Arrays = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+Arrays = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def matches(seed: int, n: int) -> Arrays:
@@ -19,11 +19,11 @@ def matches(seed: int, n: int) -> Arrays:
     return rng.normal(size=(n, 2)), rng.normal(size=(n, 2)), rng.uniform(0, 2, n)
 
 
-def homogeneous(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def homogeneous(points: FloatArray) -> FloatArray:
     return np.column_stack([points, np.ones(len(points))])
 
 
-def naive(x: NDArray[np.float64], y: NDArray[np.float64], w: NDArray[np.float64]) -> NDArray[np.float64]:
+def naive(x: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:
     """The definition, index by index."""
     m = np.zeros((9, 9))
     for xi, yi, wi in zip(homogeneous(x), homogeneous(y), w, strict=True):

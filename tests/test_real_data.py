@@ -8,15 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.capture import open_session
+from sylpose.numerics.arrays import FloatArray
 from sylpose.results import FramePose, Status
-from sylpose.tracking import track
-
-FloatArray = NDArray[np.float64]
-DATA = Path(__file__).parents[2] / "shared" / "data"
+from sylpose.tracking.tracker import track
+from tests.where import DATA
 
 
 def recording(name: str) -> Path:

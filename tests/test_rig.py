@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Camera, LensModel, Rig, nearest_point_to_rays
 
 MATRIX = np.array([[800.0, 0, 330], [0, 790, 235], [0, 0, 1]])
@@ -34,7 +34,7 @@ def camera(lens: str = "5 terms", name: str = "cam_0", pose: RigidTransform = PO
     return Camera(name, (640, 480), MATRIX, np.array(distortion), pose, model)
 
 
-def points_in_view(cam: Camera, n: int, seed: int = 0) -> NDArray[np.float64]:
+def points_in_view(cam: Camera, n: int, seed: int = 0) -> FloatArray:
     """(n, 3) world points that project into the image."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(0.5, 5, (n, 1))
@@ -169,7 +169,7 @@ def test_bad_rig() -> None:
         Rig([camera(), camera()])
 
 
-def directions(rng: np.random.Generator, n: int) -> NDArray[np.float64]:
+def directions(rng: np.random.Generator, n: int) -> FloatArray:
     d = rng.normal(size=(n, 3))
     return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
 
@@ -189,7 +189,7 @@ def test_nearest_point_to_rays_is_the_least() -> None:
     rng = np.random.default_rng(1)
     centers, d = rng.normal(size=(5, 3)), directions(rng, 5)
 
-    def cost(point: NDArray[np.float64]) -> float:
+    def cost(point: FloatArray) -> float:
         return float((np.cross(point - centers, d) ** 2).sum())
 
     best = nearest_point_to_rays(centers, d)

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.fit import covariance_of
-from sylpose.motion import estimate_motion
+from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.matrices import covariance_of
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
 from sylpose.results import FramePose, Motion, Status, Trajectory
-from sylpose.simulate import camera_at, ellipsoid, random_motion, ring, simulate_matches
+from sylpose.rig import camera_at
+from sylpose.simulate import ellipsoid, random_motion, ring, simulate_matches
+from sylpose.two_frames.motion import estimate_motion
 from sylpose.view import camera_from_world_of, trajectory_view, view_of_motion, view_of_pose, view_of_rotation
 
-FloatArray = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 quick = settings(max_examples=25, deadline=None)
 

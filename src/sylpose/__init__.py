@@ -14,21 +14,22 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sylpose.app.run import Run, track_session
-    from sylpose.capture import Box, FrameSet, Session, open_session
-    from sylpose.depth_plane import solve_depth_plane
-    from sylpose.equation import solve_generalized_sylvester, solve_sylvester
-    from sylpose.features import Matches
-    from sylpose.known_depth import solve_2d3d, solve_3d3d
+    from sylpose.capture import Session, open_session
+    from sylpose.frames import Box, FrameSet
+    from sylpose.known_model.pose import estimate_pose
+    from sylpose.matches import Matches
     from sylpose.moments import PairMoments
-    from sylpose.motion import estimate_motion, estimate_motions
-    from sylpose.network import solve_exchange, solve_gossip, solve_refine
-    from sylpose.one_camera import solve_one_camera
-    from sylpose.pose import estimate_pose
+    from sylpose.paper.bad_cameras import solve_robust
+    from sylpose.paper.centralized import solve_centralized, solve_centralized_batch
+    from sylpose.paper.depth_plane import solve_depth_plane
+    from sylpose.paper.distributed.simulated import solve_exchange, solve_gossip, solve_refine
+    from sylpose.paper.equation import solve_generalized_sylvester, solve_sylvester
+    from sylpose.paper.known_depth import solve_2d3d, solve_3d3d
+    from sylpose.paper.one_camera import solve_one_camera
     from sylpose.results import FramePose, Motion, Status, Trajectory
     from sylpose.rig import Camera, Rig
-    from sylpose.sensors import solve_robust
-    from sylpose.sylvester import solve_centralized, solve_centralized_batch
-    from sylpose.tracking import TrackedFrame, track
+    from sylpose.tracking.tracker import TrackedFrame, track
+    from sylpose.two_frames.motion import estimate_motion, estimate_motions
     from sylpose.view import trajectory_view, view_of_motion
 
 __version__ = "0.1.0"
@@ -71,21 +72,23 @@ __all__ = [
 
 _HOMES = {
     "sylpose.app.run": ("Run", "track_session"),
-    "sylpose.capture": ("Box", "FrameSet", "Session", "open_session"),
-    "sylpose.depth_plane": ("solve_depth_plane",),
-    "sylpose.equation": ("solve_generalized_sylvester", "solve_sylvester"),
-    "sylpose.features": ("Matches",),
-    "sylpose.known_depth": ("solve_2d3d", "solve_3d3d"),
+    "sylpose.capture": ("Session", "open_session"),
+    "sylpose.frames": ("Box", "FrameSet"),
+    "sylpose.known_model.pose": ("estimate_pose",),
+    "sylpose.matches": ("Matches",),
     "sylpose.moments": ("PairMoments",),
-    "sylpose.motion": ("estimate_motion", "estimate_motions"),
-    "sylpose.network": ("solve_exchange", "solve_gossip", "solve_refine"),
-    "sylpose.one_camera": ("solve_one_camera",),
-    "sylpose.pose": ("estimate_pose",),
+    "sylpose.paper.bad_cameras": ("solve_robust",),
+    "sylpose.paper.centralized": ("solve_centralized", "solve_centralized_batch"),
+    "sylpose.paper.depth_plane": ("solve_depth_plane",),
+    "sylpose.paper.distributed.simulated": ("solve_exchange", "solve_gossip", "solve_refine"),
+    "sylpose.paper.equation": ("solve_generalized_sylvester", "solve_sylvester"),
+    "sylpose.paper.known_depth": ("solve_2d3d", "solve_3d3d"),
+    "sylpose.paper.one_camera": ("solve_one_camera",),
     "sylpose.results": ("FramePose", "Motion", "Status", "Trajectory"),
     "sylpose.rig": ("Camera", "Rig"),
-    "sylpose.sensors": ("solve_robust",),
-    "sylpose.sylvester": ("solve_centralized", "solve_centralized_batch"),
-    "sylpose.tracking": ("TrackedFrame", "track"),
+    "sylpose.tracking.tracked_frame": ("TrackedFrame",),
+    "sylpose.tracking.tracker": ("track",),
+    "sylpose.two_frames.motion": ("estimate_motion", "estimate_motions"),
     "sylpose.view": ("trajectory_view", "view_of_motion"),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}

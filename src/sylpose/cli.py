@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ParamSpec
 import typer
 
 from sylpose import __version__
-from sylpose.choices import FEATURES, METHODS
+from sylpose.methods import FEATURES, METHODS
 
 if TYPE_CHECKING:
     from sylpose.app.run import Run
@@ -202,9 +202,9 @@ def track(
     masks, the object is what moves against the standing background.
     """
     from sylpose.app.aloud import track_aloud, why_nothing
-    from sylpose.app.offsets import find_offsets
     from sylpose.app.run import has_ended, output_path
     from sylpose.capture.live import is_live
+    from sylpose.sync.offsets import find_offsets
 
     opened: Session | LiveSession
     if follow or is_live(session):

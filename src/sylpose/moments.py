@@ -14,11 +14,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from sylpose.numerics.arrays import FloatArray
 
 __all__ = ["PairMoments"]
 
-FloatArray = NDArray[np.float64]
 
 _UPPER = np.triu_indices(9)
 

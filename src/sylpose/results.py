@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-__all__ = ["FramePose", "Motion", "Status", "Trajectory"]
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+__all__ = ["FramePose", "Motion", "Status", "Trajectory"]
 
 
 class Status(Enum):
@@ -106,7 +104,7 @@ class Motion:
     faults: tuple[str, ...] = ()
 
     @property
-    def n_inliers(self) -> NDArray[np.int64]:
+    def n_inliers(self) -> IntArray:
         """(C,) number of inliers per camera."""
         return np.array([int(mask.sum()) for mask in self.inliers], dtype=np.int64)
 
@@ -130,7 +128,7 @@ class FramePose:
     status: Status
     world_from_object: RigidTransform | None
     covariance: FloatArray
-    inliers: NDArray[np.int64]
+    inliers: IntArray
     residuals: FloatArray
 
     @property

@@ -9,12 +9,13 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import RigidTransform
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.numerics.arrays import FloatArray
 
 __all__ = ["Camera", "Rig", "nearest_point_to_rays"]
 
-FloatArray = NDArray[np.float64]
 LensModel = Literal["opencv", "fisheye"]
 
 # Numbers of coefficients that OpenCV's standard model takes; its fisheye model takes exactly 4.
@@ -220,3 +221,32 @@ def nearest_point_to_rays(centers: ArrayLike, directions: ArrayLike, near: Array
     offsets = np.einsum("nij,nj->i", projectors, centers - near)
     # Eigenvalues of the sum go down to about (angle / 2)^2 of the largest: 1e-3 cuts at 3 degrees between two lines.
     return np.asarray(near + np.linalg.pinv(projectors.sum(axis=0), rcond=1e-3, hermitian=True) @ offsets)
+
+
+def camera_at(
+    name: str,
+    center: ArrayLike,
+    target: ArrayLike,
+    focal: float,
+    size: tuple[int, int],
+    distortion: ArrayLike = (),
+) -> Camera:
+    """A camera at `center` (3,) that looks at `target` (3,), upright (its y axis as near to the world's as can be),
+    with the principal point in the image's middle.
+
+    Raises:
+        ValueError: a centre that is the target, or anything that `Camera` refuses.
+    """
+    center = np.asarray(center, dtype=float)
+    forward = np.asarray(target, dtype=float) - center
+    if not np.linalg.norm(forward) > 0:
+        raise ValueError(f"camera {name}: it stands at the point that it looks at")
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross([0.0, 1.0, 0.0], forward)
+    if np.linalg.norm(right) < 1e-9:  # straight up or down: any roll is as good
+        right = np.array([1.0, 0.0, 0.0])
+    right = right / np.linalg.norm(right)
+    rotation = Rotation.from_matrix(np.stack([right, np.cross(forward, right), forward]))
+    matrix = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+    pose = RigidTransform.from_components(-rotation.apply(center), rotation)
+    return Camera(name, size, matrix, np.asarray(distortion, dtype=float), pose)

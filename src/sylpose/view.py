@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.fit import covariance_of
-from sylpose.orthographic import checked_rotations
+from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.matrices import checked_rotations, covariance_of
 from sylpose.results import FramePose, Motion, Status, Trajectory
 from sylpose.rig import Camera, Rig
 
@@ -36,9 +36,8 @@ __all__ = [
     "view_of_rotation",
 ]
 
-FloatArray = NDArray[np.float64]
 
-# A camera (real, or a virtual one as `simulate.camera_at` makes), a bare camera_from_world, or a camera's name in a rig.
+# A camera (real, or a virtual one as `rig.camera_at` makes), a bare camera_from_world, or a camera's name in a rig.
 Viewpoint: TypeAlias = Camera | RigidTransform | str
 
 

@@ -8,19 +8,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sylpose.app.notes import notes
 from sylpose.app.text import length
 from sylpose.calibration import anipose, caliscope
 from sylpose.capture import Session
-from sylpose.region import volume_from_boxes
+from sylpose.numerics.arrays import FloatArray
 from sylpose.report.rigview import describe_rig, meeting_point
 from sylpose.rig import Rig
+from sylpose.tracking.region import volume_from_boxes
 
 __all__ = ["Place", "calibration_format", "facts", "look_at", "object_place", "obstacles", "warnings"]
 
-FloatArray = NDArray[np.float64]
 
 # Cameras nearer to each other than this share of their distance to the object count as one place.
 ONE_PLACE = 1e-3

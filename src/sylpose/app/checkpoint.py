@@ -20,6 +20,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import __version__
 from sylpose.capture import Session
+from sylpose.numerics.arrays import FloatArray
 from sylpose.report.files import writing
 
 __all__ = ["CHECKPOINT", "ExactPickler", "fingerprint", "load_checkpoint", "save_checkpoint"]
@@ -51,11 +52,11 @@ class ExactPickler(pickle.Pickler):
         return NotImplemented
 
 
-def _transform(matrix: NDArray[np.float64]) -> RigidTransform:
+def _transform(matrix: FloatArray) -> RigidTransform:
     return RigidTransform(matrix, normalize=False)
 
 
-def _rotation(quaternions: NDArray[np.float64]) -> Rotation:
+def _rotation(quaternions: FloatArray) -> Rotation:
     return Rotation(quaternions, normalize=False)
 
 

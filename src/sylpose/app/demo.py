@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.numerics.arrays import FloatArray
 from sylpose.report.files import output_folder, writing
 from sylpose.simulate import DemoTruth, render_sequence
 
 __all__ = ["MAX_ERROR_DEG", "Score", "render_demo", "score"]
 
-FloatArray = NDArray[np.float64]
 
 # Of the turn, beyond which the demo counts as failed.
 MAX_ERROR_DEG = 2.0

@@ -15,8 +15,8 @@ from sylpose.app.clock import Clock
 from sylpose.report.files import TrajectoryWriter, WriterState, output_folder, read_trajectory, writing
 from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
-from sylpose.smoothing import Track, smooth
-from sylpose.tracking import TrackedFrame
+from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.tracking.tracker import TrackedFrame
 
 __all__ = ["MAX_SMOOTHED", "ObjectOutput", "OutputState", "Overlay"]
 
@@ -135,7 +135,7 @@ class ObjectOutput:
             self._tracks.close()
         if self.poses:
             with self._clock.part("plots"):
-                from sylpose.report.plots import plot_trajectory  # loading matplotlib takes a second
+                from sylpose.report.plots import plot_trajectory
 
                 plot_trajectory(self.trajectory, self.report_path)
 

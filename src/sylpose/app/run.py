@@ -11,15 +11,16 @@ from typing import Any
 
 from sylpose.app.checkpoint import CHECKPOINT, fingerprint, load_checkpoint, save_checkpoint
 from sylpose.app.clock import Clock
-from sylpose.app.offsets import find_offsets, retimed
 from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
-from sylpose.capture import FrameSet, Session
+from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
-from sylpose.choices import FEATURES, METHODS
+from sylpose.frames import FrameSet
+from sylpose.methods import FEATURES, METHODS
 from sylpose.report.files import output_folder, writing
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
-from sylpose.tracking import TrackedFrame, Tracker
+from sylpose.sync.offsets import find_offsets, retimed
+from sylpose.tracking.tracker import TrackedFrame, Tracker
 
 __all__ = ["CHECKPOINT_SECONDS", "Run", "has_ended", "output_path", "track_session"]
 

@@ -11,23 +11,23 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sylpose.app import text
-from sylpose.app.offsets import OFFSETS_FILE, retimed
-from sylpose.capture import FrameSet, Session
-from sylpose.fit import warm_up
+from sylpose.capture import Session
+from sylpose.frames import FrameSet
+from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.report.files import writing
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.smoothing import Track, smooth
-from sylpose.sync import Delays, Pulse, coarse_offsets, image_speed, small_grey, split_offsets
-from sylpose.tracking import track
+from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.sync.offsets import OFFSETS_FILE, retimed
+from sylpose.sync.pulses import Delays, Pulse, coarse_offsets, image_speed, small_grey, split_offsets
+from sylpose.tracking.tracker import track
+from sylpose.two_frames.fit import warm_up
 
 __all__ = ["Known", "Synced", "sync_aloud", "sync_session", "write_offsets"]
 
-FloatArray = NDArray[np.float64]
 # Wraps the frames of a loop to show how far it is: what is done, how many they are, the frames.
 Watch = Callable[[str, int, Iterable[FrameSet]], Iterable[FrameSet]]
 
@@ -206,7 +206,7 @@ def _pulses(
 ) -> list[Pulse]:
     """How fast each camera's pictures move."""
     rate = session.rate or 1.0
-    last: list[tuple[float, NDArray[np.uint8]] | None] = [None] * len(session.rig)
+    last: list[tuple[float, Image] | None] = [None] * len(session.rig)
     samples: list[list[tuple[float, float]]] = [[] for _ in session.rig]
     frames = session.frames(start, stop, on_problem=on_problem)
     end = session.n_frames if stop is None else min(stop, session.n_frames)

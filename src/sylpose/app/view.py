@@ -9,8 +9,7 @@ from sylpose import calibration
 from sylpose.report.files import TrajectoryWriter, output_folder, read_trajectory
 from sylpose.report.plots import plot_trajectory
 from sylpose.results import Trajectory
-from sylpose.rig import Camera
-from sylpose.simulate.rigs import camera_at
+from sylpose.rig import Camera, camera_at
 from sylpose.view import trajectory_view
 
 __all__ = ["calibration_of", "looked_up", "read_result", "standing", "write_view"]

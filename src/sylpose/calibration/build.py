@@ -8,14 +8,13 @@ from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = ["convert", "make_camera", "make_pose", "make_rig"]
 
-FloatArray = NDArray[np.float64]
 T = TypeVar("T", bound=msgspec.Struct)
 
 # Calibrations written with a few digits are still rotations to about 1e-4; a larger gap is a mistake in the file.

@@ -1,8 +1,7 @@
 """Sessions: the frames of all cameras at one instant, from videos or image folders."""
 
-from sylpose.capture.regions import Box
-from sylpose.capture.session import FrameSet, Session, open_session
+from sylpose.capture.session import Session, open_session
 from sylpose.capture.sources import Source
 from sylpose.capture.timeline import Timeline
 
-__all__ = ["Box", "FrameSet", "Session", "Source", "Timeline", "open_session"]
+__all__ = ["Session", "Source", "Timeline", "open_session"]

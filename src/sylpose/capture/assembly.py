@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from statistics import fmean, median
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sylpose.numerics.arrays import Image
 
 __all__ = ["Assembler", "Grab", "Shot", "StreamClock", "Tally"]
 
-Image = NDArray[np.uint8]
 
 # Of one camera, waiting to be put into a set.
 MAX_PENDING = 64

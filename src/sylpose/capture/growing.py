@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sylpose.capture.assembly import PATIENCE, Tally
 from sylpose.capture.images import read_image
 from sylpose.capture.names import IMAGE_SUFFIXES, image_files, image_numbers, match_names
-from sylpose.capture.session import FrameSet
 from sylpose.capture.sources import NO_CAMERAS
+from sylpose.frames import FrameSet
+from sylpose.numerics.arrays import Image
 from sylpose.rig import Camera, Rig
 
 __all__ = ["DONE", "Pace", "check_folders", "read_folders"]
@@ -32,8 +32,6 @@ POLL = 0.005
 LIST_PAUSE, LIST_SHARE = 0.1, 0.05
 # Numbers that are looked for by name, without listing.
 PROBES = 64
-
-Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

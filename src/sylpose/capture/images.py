@@ -6,7 +6,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from sylpose.numerics.arrays import BoolArray, Image
 
 __all__ = ["read_image", "read_mask"]
 
@@ -14,7 +15,7 @@ __all__ = ["read_image", "read_mask"]
 DEPTHS = (8, 10, 12, 14, 16)
 
 
-def read_image(path: Path) -> NDArray[np.uint8]:
+def read_image(path: Path) -> Image:
     """An image as BGR (h, w, 3), as coded: EXIF orientation is not applied.
 
     Grey images get three equal channels. Images of 16 bits are scaled by the smallest depth of 8, 10, 12, 14 or 16 bits
@@ -40,7 +41,7 @@ def read_image(path: Path) -> NDArray[np.uint8]:
     return image.astype(np.uint8, copy=False)
 
 
-def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.bool_]:
+def read_mask(path: Path, size: tuple[int, int]) -> BoolArray:
     """A mask (h, w), True where the image is white (above half of 255) in any channel.
 
     Raises:

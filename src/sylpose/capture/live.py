@@ -15,12 +15,13 @@ import numpy as np
 
 from sylpose import calibration as calibrations
 from sylpose.capture.assembly import Assembler, Tally
+from sylpose.capture.boxes import Masks, find_masks, load_boxes, object_names
 from sylpose.capture.growing import Pace, check_folders, read_folders
 from sylpose.capture.names import belongs_to, match_names
-from sylpose.capture.regions import Masks, find_masks, load_boxes, object_names
-from sylpose.capture.session import FrameSet, SessionBase, any_of, warn
+from sylpose.capture.session import SessionBase, any_of, warn
 from sylpose.capture.sources import Source
 from sylpose.capture.streams import PAUSES, Device, open_device, read_streams
+from sylpose.frames import FrameSet
 from sylpose.rig import Rig
 
 __all__ = ["LIVE_FILE", "LiveSession", "is_live", "open_live"]

@@ -11,11 +11,11 @@ import av.error
 import numpy as np
 from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
-from numpy.typing import NDArray
 
+from sylpose.capture.boxes import Masks
 from sylpose.capture.images import read_image, read_mask
-from sylpose.capture.regions import Masks
 from sylpose.capture.sources import Source, open_video
+from sylpose.numerics.arrays import BoolArray, Image
 
 __all__ = ["CameraReader", "Reading", "check_readable"]
 
@@ -27,8 +27,8 @@ CLOCK_JUMP = 3.5
 class Reading:
     """What one camera gives at one instant, masks by object; `ended` when it will not give anything any more."""
 
-    image: NDArray[np.uint8] | None
-    masks: dict[str, NDArray[np.bool_] | None]
+    image: Image | None
+    masks: dict[str, BoolArray | None]
     problems: tuple[str, ...]
     ended: bool
 
@@ -37,7 +37,7 @@ class _Reader(Protocol):
     problems: list[str]
     ended: bool
 
-    def read(self, k: int) -> NDArray[np.uint8] | None: ...
+    def read(self, k: int) -> Image | None: ...
 
     def close(self) -> None: ...
 
@@ -72,7 +72,7 @@ class CameraReader:
     def close(self) -> None:
         self._reader.close()
 
-    def _mask(self, masks: Masks, k: int) -> NDArray[np.bool_] | None:
+    def _mask(self, masks: Masks, k: int) -> BoolArray | None:
         file = masks.files.get(self._source.frame_number(k))
         if file is None:
             return masks.static
@@ -89,7 +89,7 @@ class _ImageReader:
         self.problems: list[str] = []
         self.ended = False
 
-    def read(self, k: int) -> NDArray[np.uint8] | None:
+    def read(self, k: int) -> Image | None:
         file, size = self._source.files[k], self._source.size
         try:
             image = read_image(file)
@@ -121,7 +121,7 @@ class _VideoReader:
         self._broken: str | None = None
         self._said: set[str] = set()
 
-    def read(self, k: int) -> NDArray[np.uint8] | None:
+    def read(self, k: int) -> Image | None:
         frame = None
         while self._position <= k and not self.ended:
             frame = next(self._frames, None)
@@ -156,7 +156,7 @@ class _VideoReader:
                 f"{self._source.n_frames} frames ({self._broken or 'the file ends'}); this camera gives no more."
             )
 
-    def _convert(self, frame: VideoFrame) -> NDArray[np.uint8] | None:
+    def _convert(self, frame: VideoFrame) -> Image | None:
         where = f"{self._source.camera}: {self._source.path.name}, frame {self._position - 1}"
         if frame.is_corrupt:
             self._say("damaged", f"{where} is damaged and left out, and so are later ones that are.")

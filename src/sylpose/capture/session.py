@@ -12,49 +12,17 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sylpose import calibration as calibrations
+from sylpose.capture.boxes import Masks, check_first_masks, find_masks, load_boxes, object_names
 from sylpose.capture.readers import CameraReader, Reading, check_readable
-from sylpose.capture.regions import Box, Masks, check_first_masks, find_masks, load_boxes, object_names
 from sylpose.capture.sources import Source, find_sources
 from sylpose.capture.timeline import Timeline, build_timeline, load_timestamps
+from sylpose.frames import Box, FrameSet
+from sylpose.numerics.arrays import BoolArray
 from sylpose.rig import Rig
 
-__all__ = ["FrameSet", "Session", "SessionBase", "any_of", "open_session", "warn"]
-
-
-@dataclass(frozen=True, eq=False)
-class FrameSet:
-    """The images of all cameras at one instant, and the masks of one object or of several; tuples are in the rig's order.
-
-    Attributes:
-        index: the instant's number in the session.
-        time: seconds: the mean of the cameras' time stamps, else index / rate, else the index itself.
-        times: each camera's own time stamp, seconds; None without one.
-        images: BGR (h, w, 3) as recorded; None for a camera that has no frame at this instant.
-        masks: (h, w), True on the object, or on any of several; None without an image or the mask of one of them.
-        object_masks: the same by object, where there are several with masks; see `of`.
-    """
-
-    index: int
-    time: float
-    times: tuple[float | None, ...]
-    images: tuple[NDArray[np.uint8] | None, ...]
-    masks: tuple[NDArray[np.bool_] | None, ...]
-    object_masks: Mapping[str, tuple[NDArray[np.bool_] | None, ...]] = field(default_factory=dict)
-
-    def of(self, name: str) -> FrameSet:
-        """These images with the masks of one object; this frame set itself where masks are not given by object.
-
-        Raises:
-            ValueError: masks are given of several objects, and this is none of them.
-        """
-        if not self.object_masks:
-            return self
-        if name not in self.object_masks:
-            raise ValueError(f"no object {name!r} in the frame set ({', '.join(self.object_masks)})")
-        return replace(self, masks=self.object_masks[name], object_masks={})
+__all__ = ["Session", "SessionBase", "any_of", "open_session", "warn"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +227,7 @@ def open_session(
     )
 
 
-def any_of(masks: Sequence[NDArray[np.bool_] | None]) -> NDArray[np.bool_] | None:
+def any_of(masks: Sequence[BoolArray | None]) -> BoolArray | None:
     """Where any of the objects is, from a mask each; None unless all are known, one of one object as it is."""
     known = [mask for mask in masks if mask is not None]
     if not known or len(known) < len(masks):

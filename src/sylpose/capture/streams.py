@@ -17,15 +17,14 @@ import cv2
 import numpy as np
 from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
-from numpy.typing import NDArray
 
 from sylpose.capture.assembly import TICK, Assembler, Grab, Shot
-from sylpose.capture.session import FrameSet
+from sylpose.frames import FrameSet
+from sylpose.numerics.arrays import Image
 from sylpose.rig import Camera
 
 __all__ = ["Device", "Grab", "Opener", "open_device", "read_streams"]
 
-Image = NDArray[np.uint8]
 
 # Seconds after which a stream that cannot be opened, or gives nothing, is taken for dead; also the longest wait for all
 # cameras to give their first frame.

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sylpose.capture.names import belongs_to
 from sylpose.capture.sources import Source
+from sylpose.numerics.arrays import FloatArray, IntArray
 
 __all__ = ["Timeline", "build_timeline", "load_timestamps"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +27,7 @@ class Timeline:
         rate: instants per second on average, or None.
     """
 
-    frames: NDArray[np.int64]
+    frames: IntArray
     times: FloatArray
     stamps: FloatArray
     rate: float | None
@@ -132,7 +130,7 @@ def _numbers(row: list[str], frame: int, columns: int, where: str) -> FloatArray
     return numbers
 
 
-def _by_stamps(sources: tuple[Source, ...], stamps: FloatArray, warnings: list[str]) -> NDArray[np.int64]:
+def _by_stamps(sources: tuple[Source, ...], stamps: FloatArray, warnings: list[str]) -> IntArray:
     frames = np.full(stamps.shape, -1, dtype=np.int64)
     for c, source in enumerate(sources):
         rows = np.flatnonzero(np.isfinite(stamps[:, c]))
@@ -143,7 +141,7 @@ def _by_stamps(sources: tuple[Source, ...], stamps: FloatArray, warnings: list[s
     return frames
 
 
-def _by_count(sources: tuple[Source, ...], offsets: Mapping[str, int], warnings: list[str]) -> NDArray[np.int64]:
+def _by_count(sources: tuple[Source, ...], offsets: Mapping[str, int], warnings: list[str]) -> IntArray:
     names = [source.camera for source in sources]
     for camera, offset in offsets.items():
         if camera not in names:
@@ -164,7 +162,7 @@ def _by_count(sources: tuple[Source, ...], offsets: Mapping[str, int], warnings:
     return frames
 
 
-def _slots(sources: tuple[Source, ...], warnings: list[str]) -> list[NDArray[np.int64]]:
+def _slots(sources: tuple[Source, ...], warnings: list[str]) -> list[IntArray]:
     """The place of each frame of each camera in a common count, before offsets."""
     slots = [np.arange(source.n_frames) for source in sources]
     numbers = {c: source.numbers for c, source in enumerate(sources) if source.kind == "images"}

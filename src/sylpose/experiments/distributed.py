@@ -6,9 +6,7 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sylpose.consensus import RefineState, refine_start, refine_step
 from sylpose.experiments.estimators import (
     Estimator,
     angle_deg,
@@ -22,14 +20,15 @@ from sylpose.experiments.figures import draw_bars, draw_lines
 from sylpose.experiments.scenes import BALANCED, PRACTICE, Problem, around, simulate
 from sylpose.experiments.study import Study, score
 from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table, error_columns, quartiles
-from sylpose.messages import Inbox, Packet
-from sylpose.network import Agreement, Faults, run, solve_exchange, solve_gossip, solve_refine
+from sylpose.numerics.arrays import FloatArray
+from sylpose.paper.distributed.messages import Inbox, Packet
+from sylpose.paper.distributed.refine import RefineState, refine_start, refine_step
+from sylpose.paper.distributed.simulated import Agreement, Faults, run, solve_exchange, solve_gossip, solve_refine
 from sylpose.rig import Rig
 from sylpose.simulate import arc
 
 __all__ = ["STUDIES"]
 
-FloatArray = NDArray[np.float64]
 
 # --- Schemes ----------------------------------------------------------------------------------------------------------
 

@@ -6,15 +6,15 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sylpose.depth_plane import solve_depth_plane
 from sylpose.experiments.scenes import Problem
-from sylpose.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
-from sylpose.orthographic import quadratic_of, views_of
-from sylpose.sensors import RobustSolution, solve_robust
-from sylpose.sylvester import solve_centralized
+from sylpose.numerics.arrays import FloatArray
+from sylpose.paper.bad_cameras import RobustSolution, solve_robust
+from sylpose.paper.centralized import solve_centralized
+from sylpose.paper.depth_plane import solve_depth_plane
+from sylpose.paper.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
+from sylpose.paper.orthographic import quadratic_of, views_of
 
 __all__ = [
     "Answer",
@@ -32,8 +32,6 @@ __all__ = [
     "unconstrained_centralized",
     "unconstrained_one_camera",
 ]
-
-FloatArray = NDArray[np.float64]
 
 
 class Answer(NamedTuple):

@@ -11,14 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-from numpy.typing import NDArray
 
 from sylpose.experiments.table import Table
+from sylpose.numerics.arrays import FloatArray
 from sylpose.report.plots import INK, finish, new_figure, save_figure
 
 __all__ = ["THE_TURN", "Reference", "draw_bars", "draw_lines"]
 
-FloatArray = NDArray[np.float64]
 
 # Okabe & Ito's colours for up to four methods; each with a dash and a marker of its own, to be told apart in grey.
 STYLES = (

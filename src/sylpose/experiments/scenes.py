@@ -11,12 +11,12 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.moments import PairMoments
-from sylpose.rig import Rig
-from sylpose.simulate import Body, box, camera_at, cloud, ellipsoid, plane, random_motion, ring, simulate_matches
+from sylpose.numerics.arrays import FloatArray
+from sylpose.rig import Rig, camera_at
+from sylpose.simulate import Body, box, cloud, ellipsoid, plane, random_motion, ring, simulate_matches
 
 __all__ = [
     "BALANCED",
@@ -33,7 +33,6 @@ __all__ = [
     "simulate",
 ]
 
-FloatArray = NDArray[np.float64]
 
 NOISE_PX, MATCHES, TURN_DEG, SHIFT = 0.5, 60, 5.0, 0.02
 # Points of a body's surface; each camera draws its own from those that it sees.

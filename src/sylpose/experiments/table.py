@@ -8,11 +8,12 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from sylpose.numerics.arrays import FloatArray
 
 __all__ = ["ERROR_COLUMNS", "Cell", "Table", "error_columns", "quartiles"]
 
-FloatArray = NDArray[np.float64]
 Cell = str | int | float | None
 
 # What `error_columns` makes of the errors of all trials.

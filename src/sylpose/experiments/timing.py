@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from sylpose.experiments.figures import Reference, draw_lines
 from sylpose.experiments.study import Study
 from sylpose.experiments.table import Table, quartiles
 from sylpose.moments import PairMoments
-from sylpose.sylvester import solve_centralized
+from sylpose.numerics.arrays import FloatArray
+from sylpose.paper.centralized import solve_centralized
 
 __all__ = ["STUDIES", "Fit", "straight_line"]
 
-FloatArray = NDArray[np.float64]
 
 TIME_COLUMNS = ("repeats", "q25_ms", "median_ms", "q75_ms")
 # So many cameras and more are certified, as a rule; with fewer the estimator also looks for all local minima.

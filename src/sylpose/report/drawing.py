@@ -6,15 +6,13 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.rig import Camera
 
 __all__ = ["AXIS_COLORS", "DARK", "GREY", "WHITE", "draw_axes", "draw_matches", "pen", "polyline", "project", "write"]
 
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Color = tuple[int, int, int]
 Matches = tuple[FloatArray, FloatArray]
 

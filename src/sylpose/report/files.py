@@ -14,14 +14,14 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.numerics.arrays import FloatArray
 from sylpose.results import FramePose, Status, Trajectory
 
 __all__ = ["TrajectoryWriter", "WriterState", "output_folder", "read_trajectory", "read_tum", "write_tum", "writing"]
 
-FloatArray = NDArray[np.float64]
 
 _POSE_COLUMNS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
 _ANGLE_COLUMNS = ("pan_deg", "tilt_deg", "roll_deg")

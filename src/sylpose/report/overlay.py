@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from av.codec.codec import UnknownCodecError
 from av.video.reformatter import Colorspace
-from numpy.typing import NDArray
 
+from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.report.drawing import DARK, GREY, WHITE, draw_axes, draw_matches, pen, polyline, write
 from sylpose.report.files import writing
 from sylpose.results import FramePose, Status
@@ -23,8 +23,6 @@ from sylpose.rig import Camera, Rig
 
 __all__ = ["OverlayWriter", "Shown", "object_color"]
 
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Color = tuple[int, int, int]
 Matches = tuple[FloatArray, FloatArray]
 

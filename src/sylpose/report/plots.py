@@ -12,16 +12,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.report.files import writing
 from sylpose.results import FramePose, Status, Trajectory
 
 __all__ = ["camera_colors", "finish", "new_figure", "plot_trajectory", "save_figure", "summary"]
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 # Okabe & Ito's colours, which the colour-blind can tell apart. The same axis has the same colour in both upper panels:
 # tilt turns about x, pan about y, roll about z.

@@ -13,14 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sylpose.numerics.arrays import FloatArray
 from sylpose.report.plots import INK, camera_colors, new_figure, save_figure
 from sylpose.rig import Camera, Rig, nearest_point_to_rays
 
 __all__ = ["CameraView", "describe_rig", "meeting_point", "plot_rig", "view_axes"]
 
-FloatArray = NDArray[np.float64]
 
 PARALLEL = np.radians(2)
 OBJECT_COLOR = "#D55E00"

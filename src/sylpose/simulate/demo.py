@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig, nearest_point_to_rays
 from sylpose.simulate.files import FRAME_RATE, session_folder, write_boxes, write_truth, write_videos
 from sylpose.simulate.render import Actor, Scene, chamfered_box, render_frames
@@ -17,7 +17,6 @@ from sylpose.simulate.rigs import arc
 
 __all__ = ["DemoTruth", "demo_scene", "demo_truth", "render_sequence", "write_sequence"]
 
-FloatArray = NDArray[np.float64]
 
 # The block's longest side, as a share of the image's shorter side.
 OBJECT_SHARE = 0.45

@@ -9,16 +9,15 @@ from typing import Any
 
 import av
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.numerics.arrays import Image
 from sylpose.rig import Rig
 
 __all__ = ["FRAME_RATE", "session_folder", "suffixes", "write_boxes", "write_truth", "write_videos"]
 
 FRAME_RATE = 30
 
-Image = NDArray[np.uint8]
 Box = tuple[int, int, int, int]
 
 
@@ -29,7 +28,7 @@ def session_folder(path: str | Path, rig: Rig) -> Path:
         OSError: a folder or file that cannot be written.
         ValueError: images of odd width or height, which videos cannot hold.
     """
-    from sylpose import calibration  # the importers of other formats are of no use to the rest of this package
+    from sylpose import calibration
 
     for camera in rig:
         if camera.size[0] % 2 or camera.size[1] % 2:

@@ -14,18 +14,16 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.numerics.arrays import FloatArray, FloatImage, Image, IntArray
 from sylpose.rig import Camera, Rig
 from sylpose.simulate.textures import FACE_HUES, face_texture, room
 
 __all__ = ["Actor", "Scene", "TexturedBody", "chamfered_box", "render_frames"]
 
-FloatArray = NDArray[np.float64]
-FloatImage = NDArray[np.float32]
-Image = NDArray[np.uint8]
 Path = Callable[[float], RigidTransform]
 
 # OpenCV's way of saying that both coordinates are in the first map.
@@ -55,7 +53,7 @@ class TexturedBody:
     """
 
     vertices: FloatArray
-    faces: tuple[NDArray[np.int64], ...]
+    faces: tuple[IntArray, ...]
     normals: FloatArray
     textures: tuple[Image, ...]
     plane_from_texture: FloatArray

@@ -6,14 +6,12 @@ The world's axes are OpenCV's camera axes (x right, y down, z forward): up is -y
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from numpy.typing import ArrayLike
 
-from sylpose.rig import Camera, Rig
+from sylpose.numerics.arrays import FloatArray
+from sylpose.rig import Rig, camera_at
 
-__all__ = ["arc", "camera_at", "dome", "ring"]
-
-FloatArray = NDArray[np.float64]
+__all__ = ["arc", "dome", "ring"]
 
 
 def ring(
@@ -93,35 +91,6 @@ def dome(
     flat = np.sqrt(1 - up**2)
     offsets = radius * np.column_stack([flat * np.sin(angles), -up, -flat * np.cos(angles)])
     return _looking_at(offsets, target, focal, size, distortion)
-
-
-def camera_at(
-    name: str,
-    center: ArrayLike,
-    target: ArrayLike,
-    focal: float,
-    size: tuple[int, int],
-    distortion: ArrayLike = (),
-) -> Camera:
-    """A camera at `center` (3,) that looks at `target` (3,), upright (its y axis as near to the world's as can be),
-    with the principal point in the image's middle.
-
-    Raises:
-        ValueError: a centre that is the target, or anything that `Camera` refuses.
-    """
-    center = np.asarray(center, dtype=float)
-    forward = np.asarray(target, dtype=float) - center
-    if not np.linalg.norm(forward) > 0:
-        raise ValueError(f"camera {name}: it stands at the point that it looks at")
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross([0.0, 1.0, 0.0], forward)
-    if np.linalg.norm(right) < 1e-9:  # straight up or down: any roll is as good
-        right = np.array([1.0, 0.0, 0.0])
-    right = right / np.linalg.norm(right)
-    rotation = Rotation.from_matrix(np.stack([right, np.cross(forward, right), forward]))
-    matrix = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
-    pose = RigidTransform.from_components(-rotation.apply(center), rotation)
-    return Camera(name, size, matrix, np.asarray(distortion, dtype=float), pose)
 
 
 def _looking_at(

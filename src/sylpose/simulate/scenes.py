@@ -8,17 +8,16 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.features import Matches
+from sylpose.matches import Matches
+from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.rig import Camera, Rig
 from sylpose.simulate.bodies import Body
 
 __all__ = ["OutlierKind", "SimulatedPair", "random_motion", "simulate_matches"]
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 OutlierKind = Literal["uniform", "static", "second_motion"]
 
 # A surface is not matched when seen more obliquely than this (cosine of the angle to its normal).

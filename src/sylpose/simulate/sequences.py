@@ -8,19 +8,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from sylpose.numerics.arrays import BoolArray, FloatArray, Image
 from sylpose.simulate.demo import demo_truth
 from sylpose.simulate.files import FRAME_RATE, session_folder, suffixes, write_boxes, write_truth, write_videos
 from sylpose.simulate.render import Actor, Scene, render_frames
 from sylpose.simulate.render import Path as Motion
 
 __all__ = ["Recording", "visible_shares", "write_recording"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)

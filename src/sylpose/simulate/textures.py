@@ -6,12 +6,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from sylpose.numerics.arrays import FloatArray, FloatImage, Image
 
 __all__ = ["face_texture", "room"]
 
-Image = NDArray[np.uint8]
-FloatImage = NDArray[np.float32]
 
 # Hues of OpenCV's HSV (0 to 179): warm and cold colours in turn, so that neighbouring faces differ.
 FACE_HUES = (12, 105, 24, 88, 172, 120, 5, 98, 18, 80, 160, 112)
@@ -20,7 +19,7 @@ FONTS = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_TRI
 Colour = tuple[float, ...]
 
 
-def face_texture(width: int, height: int, outline: NDArray[np.float64], hue: int, rng: np.random.Generator) -> Image:
+def face_texture(width: int, height: int, outline: FloatArray, hue: int, rng: np.random.Generator) -> Image:
     """A (height, width, 3) BGR picture around one hue: marbled paint with shapes and letters on it, nowhere repeating,
     and with a pale seam along the outline (n, 2) of the face in it.
     """

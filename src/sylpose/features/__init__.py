@@ -1,0 +1,1 @@
+"""Points in images: found (SIFT) and followed (KLT)."""

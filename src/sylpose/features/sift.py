@@ -1,0 +1,135 @@
+"""Features of the object: SIFT keypoints per frame, and matches between two frames of the same camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from sylpose.matches import STILL_PX
+from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.rig import Camera
+
+__all__ = ["Features", "detect", "match_features", "seen_before"]
+
+
+# A crop is padded by this: the object's region has a margin of its own, and SIFT's time is that of its area.
+CROP_MARGIN_PX = 8
+MAX_FEATURES = 1000
+# OpenCV's SIFT doubles the image first, and its keypoints are off by half of a pixel of that, right and down.
+# (Its enable_precise_upscale, which OpenCV has since 4.8, removes that too, but tracks less precisely.)
+SIFT_BIAS_PX = 0.25
+# Cosine of two RootSIFT descriptors of the same thing seen again; unrelated ones stay below about 0.7.
+SAME_LOOK = 0.85
+
+_cv2: Any = cv2  # its type stubs lack SIFT
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Keypoints of one image.
+
+    Attributes:
+        pixels: (n, 2) in the image as recorded.
+        normalized: (n, 2) the same points undistorted.
+        descriptors: (n, 128) float32 RootSIFT, unit length.
+    """
+
+    pixels: FloatArray
+    normalized: FloatArray
+    descriptors: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def subset(self, index: IntArray | BoolArray) -> Features:
+        """The keypoints that a mask or an index array picks."""
+        return Features(self.pixels[index], self.normalized[index], self.descriptors[index])
+
+    @classmethod
+    def none(cls) -> Features:
+        """No keypoints: a camera without an image, or whose region is empty."""
+        return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 128), np.float32))
+
+
+def detect(
+    image: Image,
+    camera: Camera,
+    mask: BoolArray | None = None,
+    max_features: int = MAX_FEATURES,
+) -> Features:
+    """SIFT keypoints with RootSIFT descriptors.
+
+    Args:
+        image: (h, w, 3) BGR or (h, w) grey.
+        camera: whose lens is taken out.
+        mask: (h, w) True where to look; only its bounding box is computed. None: everywhere.
+        max_features: the strongest are kept.
+
+    Source: Lowe 2004; RootSIFT, Arandjelovic & Zisserman, "Three things everyone should know", CVPR 2012.
+    """
+    top, left, bottom, right = 0, 0, *image.shape[:2]
+    crop_mask = None
+    if mask is not None:
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        if len(rows) == 0:
+            return Features.none()
+        top, bottom = max(rows[0] - CROP_MARGIN_PX, 0), min(rows[-1] + 1 + CROP_MARGIN_PX, bottom)
+        left, right = max(columns[0] - CROP_MARGIN_PX, 0), min(columns[-1] + 1 + CROP_MARGIN_PX, right)
+        crop_mask = mask[top:bottom, left:right].astype(np.uint8) * 255
+    crop = image[top:bottom, left:right]
+    grey = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY) if crop.ndim == 3 else np.ascontiguousarray(crop)
+    # A lower contrast threshold than Lowe's 0.04: on plain objects there is little else to go by, and what is not the
+    # object's motion is rejected later.
+    sift = _cv2.SIFT_create(nfeatures=max_features, contrastThreshold=0.02)
+    keypoints, descriptors = sift.detectAndCompute(grey, crop_mask)
+    if descriptors is None or len(keypoints) == 0:
+        return Features.none()
+    pixels = _cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + np.array([left, top]) - SIFT_BIAS_PX
+    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
+    return Features(pixels, camera.normalize(pixels), root.astype(np.float32))
+
+
+def match_features(a: Features, b: Features, ratio: float = 0.8, max_shift_px: float = np.inf) -> IntArray:
+    """Mutual nearest neighbours that pass the ratio test.
+
+    Args:
+        a, b: features of the same camera in two frames.
+        ratio: largest ratio of the distances to the best and the second best.
+        max_shift_px: matches displaced by more are dropped.
+
+    Returns:
+        (m, 2) indices into a and b. Keypoints that SIFT gives several orientations count once.
+    """
+    if len(a) < 2 or len(b) < 2:
+        return np.empty((0, 2), np.int64)
+    # Unit vectors: |u - v|^2 = 2 - 2 u.v, so one matrix product gives all distances.
+    similarity = a.descriptors @ b.descriptors.T
+    rows = np.arange(len(a))
+    forward = similarity.argmax(axis=1)
+    best = similarity[rows, forward]
+    mutual = best == similarity.max(axis=0)[forward]
+    similarity[rows, forward] = -1.0
+    second = similarity.max(axis=1)
+    i = np.flatnonzero(mutual & (1.0 - best <= ratio**2 * (1.0 - second)))
+    j = forward[i]
+    near = np.linalg.norm(a.pixels[i] - b.pixels[j], axis=1) <= max_shift_px
+    pairs = np.column_stack([i, j])[near]
+    places = np.rint(10.0 * np.concatenate([a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]]], axis=1))
+    order = np.lexsort(places.T)
+    new = np.ones(len(order), bool)
+    new[1:] = (places[order[1:]] != places[order[:-1]]).any(axis=1)
+    return np.asarray(pairs[np.sort(order[new])])
+
+
+def seen_before(features: Features, earlier: Features) -> BoolArray:
+    """(n,) features that an earlier frame of the same camera has at the same place with the same look."""
+    if len(features) == 0 or len(earlier) == 0:
+        return np.zeros(len(features), bool)
+    gap, nearest = cKDTree(earlier.pixels).query(features.pixels, 3, distance_upper_bound=STILL_PX)
+    similar = np.einsum("nd,nkd->nk", features.descriptors, earlier.descriptors[np.minimum(nearest, len(earlier) - 1)])
+    return np.asarray((np.isfinite(gap) & (similar > SAME_LOOK)).any(axis=1))

@@ -1,0 +1,1 @@
+"""Where an object of known points is."""

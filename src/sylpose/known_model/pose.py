@@ -1,0 +1,361 @@
+"""`estimate_pose`: where an object is, from points known in its own frame and seen by any of several cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import lgamma
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.known_model.pose_kernels import (
+    CUTOFF,
+    SATURATION,
+    Noise,
+    Views,
+    fit,
+    information,
+    minimize,
+    score,
+    search,
+    squares_of,
+)
+from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.matrices import covariance_of
+from sylpose.results import Motion, Status
+from sylpose.rig import Camera, Rig
+
+__all__ = ["estimate_pose"]
+
+
+# Three matches have several exact poses; the fourth decides.
+MIN_MATCHES = 4
+# Samples: at least, at most, and the chance that none of them was free of outliers.
+MIN_SAMPLES, MAX_SAMPLES, MISSED = 20, 3000, 1e-4
+# Poses are searched with at most so many matches, evenly from the cameras.
+SEARCHED = 500
+# Poses that are followed, the steps that improve each, and the rounds of re-weighting.
+KEPT, SEARCH_STEPS, ROUNDS = 6, 5, 50
+# Poses that differ by less than this angle are one.
+SAME_TURN = 0.05
+# A pose counts as chance when random matches would show one as good more often than this.
+BY_CHANCE = 0.01
+# Standard deviations beyond which a turn (radians), or a place (relative to the distance), has not been seen.
+UNSEEN_TURN, UNSEEN_SHARE = 0.25, 0.5
+# Of two poses that explain the matches nearly equally well, the better is believed from these odds on.
+CLEAR_ODDS = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Pose:
+    """A fitted pose: rotation and place in the kernels' terms, and what the fit says of itself."""
+
+    rotation: FloatArray
+    place: FloatArray
+    squares: FloatArray
+    weights: FloatArray
+    noise: Noise
+    rounds: int
+    freedom: float
+    settled: bool
+
+
+def estimate_pose(
+    rig: Rig,
+    points: Sequence[ArrayLike],
+    pixels: Sequence[ArrayLike],
+    *,
+    max_error_px: float = 12.0,
+    seed: int = 0,
+) -> Motion:
+    """The object's pose from points known in its own frame, seen by any subset of the cameras: solvePnP for many cameras.
+
+    Args:
+        rig: C cameras.
+        points: C arrays (n_c, 3), what each camera sees, in the object's frame; empty where it sees nothing.
+        pixels: C arrays (n_c, 2), where it sees them, in the image as recorded (lens included).
+        max_error_px: matches further off than this are wrong, whatever the noise; set it to five times the largest
+            noise that is to be expected.
+        seed: of the search. Same input and seed, same result.
+
+    Returns:
+        `Motion` with `motion` world_from_object; look at its `status` first. `center` is the mean of all given points, in
+        the object's frame, as the centre of any motion is where it starts: `motion.apply(center)` is where it lies in
+        the world, and the covariance is of (w, d) with d the error of that place. `residuals` are reprojection errors.
+        Fewer than four different matches give TOO_FEW_MATCHES; points on one line TURN_NOT_OBSERVABLE; a place that is
+        less certain than half of its distance from the cameras SCALE_NOT_OBSERVABLE; matches that agree no better than
+        random ones NOT_CONSISTENT.
+
+    Raises:
+        ValueError: not one array per camera; shapes that do not fit; values that are not finite, naming the camera; a
+            max_error_px that is not positive.
+
+    Source: docs/method.md, "A known model".
+    """
+    for name, given in (("points", points), ("pixels", pixels)):
+        if len(given) != len(rig):
+            raise ValueError(
+                f"{name}: {len(given)} arrays for {len(rig)} cameras; give one per camera, in the rig's order"
+            )
+    if not (np.isfinite(max_error_px) and max_error_px > 0):
+        raise ValueError(f"max_error_px: {max_error_px} is not a positive number of pixels")
+    models = [_checked(camera, "points", p, 3) for camera, p in zip(rig, points, strict=True)]
+    places = [_checked(camera, "pixels", u, 2) for camera, u in zip(rig, pixels, strict=True)]
+    for camera, x, u in zip(rig, models, places, strict=True):
+        if len(x) != len(u):
+            raise ValueError(f"camera {camera.name}: {len(x)} points but {len(u)} pixels; give one pixel per point")
+    counts = np.array([len(x) for x in models])
+    model = np.concatenate(models)
+    center = model.mean(axis=0) if len(model) else np.full(3, np.nan)
+    if not _enough(model, np.repeat(np.arange(len(rig)), counts)):
+        return _result(counts, Status.TOO_FEW_MATCHES, center)
+    used = np.flatnonzero(counts)
+    cameras = [rig.cameras[c] for c in used]
+    origin, views = _views(cameras, model - center, [places[c] for c in used])
+    extent, axes = np.linalg.eigh(views.points.T @ views.points / len(model))
+    if not extent[1] > 1e-12 * extent[2]:
+        return _result(counts, Status.TURN_NOT_OBSERVABLE, center, unseen=np.eye(6))
+    poses = _best_poses(views, max_error_px**2, axes[:, 0], np.random.default_rng(seed))
+    if not poses:
+        return _result(counts, Status.NOT_CONSISTENT, center)
+    best = poses[0]
+    status = Status.OK if best.settled else Status.NOT_CONVERGED
+    # Where all matches agree there is no choice that chance could have made.
+    if not best.weights.all() and _log_chance(views, best) > np.log(BY_CHANCE):
+        status = Status.NOT_CONSISTENT
+    seen = np.empty((6, 6))
+    information(views, best.rotation, best.place, best.noise, seen)
+    unseen = _unseen(views, poses, seen) if status is Status.OK else np.empty((0, 6))
+    if len(unseen):
+        turns = np.linalg.norm(unseen[:, :3] / UNSEEN_TURN, 2) ** 2 > 0.5
+        status = Status.TURN_NOT_OBSERVABLE if turns else Status.SCALE_NOT_OBSERVABLE
+    # The noise is itself estimated: the covariance is that of Student's distribution.
+    seen *= max(best.freedom - 2.0, 0.5) / best.freedom
+    return _result(counts, status, center, best, origin, seen, unseen)
+
+
+def _checked(camera: Camera, name: str, values: ArrayLike, width: int) -> FloatArray:
+    """The values as an array (n, width) of finite numbers."""
+    array = np.ascontiguousarray(values, dtype=float)
+    if array.size == 0:
+        return np.empty((0, width))
+    if array.ndim != 2 or array.shape[1] != width:
+        raise ValueError(f"camera {camera.name}: {name} must be (n, {width}), got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"camera {camera.name}: {name} has values that are not finite")
+    return array
+
+
+def _enough(model: FloatArray, camera: IntArray) -> bool:
+    """Whether at least `MIN_MATCHES` different points are seen, each point counted once per camera."""
+    for _ in range(MIN_MATCHES - 1):
+        if not len(model):
+            return False
+        other = (model != model[0]).any(axis=1) | (camera != camera[0])
+        model, camera = model[other], camera[other]
+    return len(model) > 0
+
+
+def _views(cameras: Sequence[Camera], model: FloatArray, pixels: Sequence[FloatArray]) -> tuple[FloatArray, Views]:
+    """The world's origin (3,), moved to the middle of the cameras so that places far off cost no digits, and the views."""
+    poses = np.array([camera.camera_from_world.as_matrix() for camera in cameras])
+    turns, shifts = np.ascontiguousarray(poses[:, :3, :3]), poses[:, :3, 3]
+    origin = -np.einsum("cij,ci->j", turns, shifts) / len(cameras)
+    start = np.concatenate([[0], np.cumsum([len(u) for u in pixels])])
+    images, to_pixels = np.empty((len(model), 2)), np.empty((len(model), 4))
+    for c, (camera, u) in enumerate(zip(cameras, pixels, strict=True)):
+        of_camera = slice(start[c], start[c + 1])
+        images[of_camera], to_pixels[of_camera] = _without_lens(camera, u)
+    # What a lens cannot have made is far outside of every image.
+    lost = ~(np.isfinite(images).all(axis=1) & np.isfinite(to_pixels).all(axis=1))
+    images[lost], to_pixels[lost] = 1e9, (1.0, 0.0, 0.0, 1.0)
+    return origin, Views(model, images, to_pixels, start, turns, shifts + turns @ origin)
+
+
+def _without_lens(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Normalised points (n, 2), and (n, 4) or (4,), row-major, how the recorded pixel moves with each."""
+    if camera.lens == "opencv" and not camera.distortion.any():
+        # Nothing to undo: OpenCV's call would be a third of the time that many cameras with few points take.
+        focals = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
+        return (pixels - camera.matrix[:2, 2]) / focals, np.array([focals[0], 0.0, 0.0, focals[1]])
+    images = camera.normalize(pixels)
+    h = 1e-4
+    sides = h * np.array([[[1.0, 0.0]], [[-1.0, 0.0]], [[0.0, 1.0]], [[0.0, -1.0]]])
+    right, left, down, up = camera.denormalize((images + sides).reshape(-1, 2)).reshape(4, -1, 2)
+    by_u, by_v = (right - left) / (2 * h), (down - up) / (2 * h)
+    return images, np.stack([by_u[:, 0], by_v[:, 0], by_u[:, 1], by_v[:, 1]], axis=1)
+
+
+def _best_poses(views: Views, top: float, thin: FloatArray, rng: np.random.Generator) -> list[_Pose]:
+    """Search, follow the best distinct poses, fit the best two to all matches; best first.
+
+    Args:
+        top: squared distance beyond which a match is wrong.
+        thin: (3,) the direction in which the model extends least.
+    """
+    few = _subset(views, rng)
+    rotations, places, scores = np.zeros((KEPT, 3, 3)), np.zeros((KEPT, 3)), np.full(KEPT + 1, np.inf)
+    done, wanted = 0, MIN_SAMPLES
+    while done < wanted:
+        draws = rng.random((min(wanted - done, 200), 6))
+        search(few, draws, top, SEARCH_STEPS, rotations, places, scores)
+        done += len(draws)
+        wanted = _samples(few, rotations[0], places[0], top) if scores[0] < np.inf else MAX_SAMPLES
+    starts = [(rotations[k], places[k]) for k in range(KEPT) if scores[k] < np.inf]
+    if not starts:
+        return []
+    mirrored = _mirrored(*starts[0], thin)
+    minimize(few, *mirrored, _largest_noise(views, top), 10, 1e-3)
+    poses: list[_Pose] = []
+    for rotation, place in [*starts, mirrored]:
+        if score(few, rotation, place, top, np.inf) > 2.0 * scores[0] + 3.0 or _known(poses, rotation):
+            continue
+        pose = _fitted(few, rotation, place, top)
+        if pose is not None and not _known(poses, pose.rotation):
+            poses.append(pose)
+    poses.sort(key=lambda pose: _log_chance(few, pose))
+    if few is not views:
+        fitted = [_fitted(views, pose.rotation, pose.place, top) for pose in poses[:2]]
+        poses = [pose for pose in fitted if pose is not None]
+        poses.sort(key=lambda pose: _log_chance(views, pose))
+    return poses
+
+
+def _subset(views: Views, rng: np.random.Generator) -> Views:
+    """At most about `SEARCHED` of the matches, as many of each camera as it has, up to the same number."""
+    counts = np.diff(views.start)
+    if counts.sum() <= SEARCHED:
+        return views
+    # Cameras with few matches leave their share to the others.
+    quota = SEARCHED // len(counts)
+    for _ in range(3):
+        open_ = counts > quota
+        if not open_.any():
+            break
+        quota = max(1, int((SEARCHED - counts[~open_].sum()) // open_.sum()))
+    picked = [
+        first + (np.arange(n) if n <= quota else rng.choice(n, quota, replace=False))
+        for first, n in zip(views.start[:-1], counts, strict=True)
+    ]
+    start = np.concatenate([[0], np.cumsum([len(p) for p in picked])])
+    every = np.concatenate(picked)
+    return views._replace(
+        points=views.points[every], images=views.images[every], to_pixels=views.to_pixels[every], start=start
+    )
+
+
+def _samples(views: Views, rotation: FloatArray, place: FloatArray, top: float) -> int:
+    """How many samples it takes that one, but for a chance of `MISSED`, is free of outliers."""
+    squares = np.empty(len(views.points))
+    squares_of(views, rotation, place, squares)
+    good = squares < top
+    by_camera = np.add.reduceat(good, views.start[:-1]) / np.diff(views.start)
+    share = 0.5 * (good.mean() ** 3 + by_camera.mean() ** 3)
+    if share >= 1.0:
+        return MIN_SAMPLES
+    return int(np.clip(np.log(MISSED) / np.log1p(-max(share, 1e-9)), MIN_SAMPLES, MAX_SAMPLES))
+
+
+def _mirrored(rotation: FloatArray, place: FloatArray, thin: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The pose that looks most alike from the cameras' middle, which is the world's origin: a flat object tilted the other
+    way. A half turn about its normal, then one about the line of sight, leave its scaled orthographic image as it was."""
+    sight = place / max(float(np.linalg.norm(place)), 1e-300)
+    half_turns = [2.0 * np.outer(axis, axis) - np.eye(3) for axis in (sight, thin)]
+    return half_turns[0] @ rotation @ half_turns[1], place.copy()
+
+
+def _known(poses: Sequence[_Pose], rotation: FloatArray) -> bool:
+    return any(np.linalg.norm(rotation - pose.rotation) < np.sqrt(2.0) * SAME_TURN for pose in poses)
+
+
+def _largest_noise(views: Views, top: float) -> Noise:
+    """The same in all cameras: what the largest cutoff allows."""
+    return Noise(np.full(len(views.turns), top / CUTOFF**2), np.full(len(views.turns), top))
+
+
+def _fitted(views: Views, rotation: FloatArray, place: FloatArray, top: float) -> _Pose | None:
+    """The robust fit from a start; None where fewer than `MIN_MATCHES` matches are left."""
+    rotation, place = rotation.copy(), place.copy()
+    squares, weights, noise = np.empty(len(views.points)), np.zeros(len(views.points)), _largest_noise(views, top)
+    rounds, freedom, settled = fit(views, rotation, place, top, ROUNDS, 1, squares, weights, noise)
+    if np.count_nonzero(weights) < MIN_MATCHES:
+        return None
+    return _Pose(rotation, place, squares, weights, noise, rounds, freedom, settled)
+
+
+def _log_chance(views: Views, pose: _Pose) -> float:
+    """The logarithm of how many poses as good as this one random matches would show, at most.
+
+    A random match agrees with the share of the object's image that a circle of `CUTOFF` sigma covers; the agreeing
+    matches, and the three among them that determine the pose, may be chosen. This weighs the number of matches that agree
+    against how well they do: of poses of the same data the one with the least is the best.
+
+    Source: Moisan & Stival, a contrario RANSAC, 2004.
+    """
+    agree = pose.weights > 0
+    n, k = len(agree), int(agree.sum())
+    by = views.to_pixels[views.start[:-1]]
+    focals = np.sqrt(np.abs(by[:, 0] * by[:, 3] - by[:, 1] * by[:, 2]))
+    depths = views.turns[:, 2] @ pose.place + views.shifts[:, 2]
+    size = focals * np.sqrt((views.points**2).sum() / n) / np.maximum(depths, 1e-300)
+    share = np.clip(CUTOFF**2 * pose.noise.variances / size**2, 1e-12, 1.0)
+    log_share = float(np.add.reduceat(agree, views.start[:-1], dtype=float) @ np.log(share))
+    choices = lgamma(n + 1) - lgamma(n - k + 1) - lgamma(4) - lgamma(k - 2)
+    return float(np.log(n) + choices + (k - 3) / k * log_share)
+
+
+def _unseen(views: Views, poses: Sequence[_Pose], seen: FloatArray) -> FloatArray:
+    """The directions (k, 6) of (w, d) with a standard deviation beyond the limits, turn and place weighed together; or the
+    one to another pose, turned by more than the limit, that explains the matches about as well (flat objects)."""
+    best = poses[0]
+    centers = -np.einsum("cij,ci->cj", views.turns, views.shifts)
+    distance = float(np.linalg.norm(centers - best.place, axis=1).min())
+    limits = np.array([UNSEEN_TURN] * 3 + [UNSEEN_SHARE * distance] * 3)
+    values, vectors = np.linalg.eigh(seen * np.outer(limits, limits))
+    if values[0] >= 1.0 and len(poses) > 1:
+        top = CUTOFF**2 * float(np.median(best.noise.variances))
+        losses = [score(views, pose.rotation, pose.place, top, np.inf) for pose in poses[:2]]
+        if 0.5 * CUTOFF**2 * SATURATION * (losses[1] - losses[0]) < np.log(CLEAR_ODDS):
+            other = Rotation.from_matrix(poses[1].rotation @ best.rotation.T).as_rotvec()
+            between = np.concatenate([other, poses[1].place - best.place])
+            if np.linalg.norm(other) > UNSEEN_TURN:
+                return np.asarray(between[None] / np.linalg.norm(between / limits))
+    return np.asarray(vectors[:, values < 1.0].T * limits)
+
+
+def _result(
+    counts: IntArray,
+    status: Status,
+    center: FloatArray,
+    pose: _Pose | None = None,
+    origin: FloatArray | None = None,
+    seen: FloatArray | None = None,
+    unseen: FloatArray | None = None,
+) -> Motion:
+    """The public result; without a pose, of no inliers and no information."""
+    agree = np.zeros(counts.sum(), bool) if pose is None else pose.weights > 0
+    residuals, motion = np.full(len(counts), np.nan), None
+    if pose is not None:
+        camera = np.repeat(np.arange(len(counts)), counts)[agree]
+        sums = np.bincount(camera, pose.squares[agree], len(counts))
+        numbers = np.bincount(camera, minlength=len(counts))
+        np.sqrt(sums / np.maximum(numbers, 1), out=residuals, where=numbers > 0)
+    if pose is not None and origin is not None and status.has_pose:
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = pose.rotation, origin + pose.place - pose.rotation @ center
+        motion = RigidTransform.from_matrix(matrix)
+    seen = np.zeros((6, 6)) if seen is None else seen
+    return Motion(
+        status=status,
+        motion=motion,
+        center=center,
+        information=seen,
+        covariance=covariance_of(seen),
+        unseen=np.empty((0, 6)) if unseen is None else unseen,
+        inliers=tuple(np.split(agree, np.cumsum(counts)[:-1])),
+        residuals=residuals,
+        method="pose",
+        iterations=0 if pose is None else pose.rounds,
+    )

@@ -1,0 +1,429 @@
+"""Compiled loops of `estimate_pose`: robust scores, the search for a start, and the fit.
+
+All of them take the same `Views`: n matches sorted by camera. A pose is R (3, 3) and g (3,): a model point X, relative to
+the model's centre, lies at R X + g.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sylpose.known_model.three_rays import three_rays
+from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.compiled import cholesky_solve, kernel, turn_by
+
+__all__ = ["CUTOFF", "SATURATION", "Noise", "Views", "fit", "information", "minimize", "score", "search", "squares_of"]
+
+
+# Weights (1 - (e / (CUTOFF sigma))^4)^2 of a match at the distance e: nearly 1 up to two sigma, 0 beyond five.
+CUTOFF = 5.0
+# For Gaussian noise in two coordinates: what the mean weight and the mean weighted square lose to these weights, and the
+# variance of plain least squares relative to theirs.
+LOST_WEIGHT, LOST_SQUARE, EFFICIENCY = 0.02462, 0.07188, 0.9887
+# A cutoff that loses a good match less often than once in exp(WIDE) where the noise level is itself uncertain.
+WIDE = 8.0
+# The loss that belongs to these weights saturates at this share of half the squared cutoff.
+SATURATION = 8.0 / 15.0
+# Distances from rounding alone, pixels: below it, nothing is noise.
+ROUNDING_PX = 1e-6
+# A camera has a noise of its own when its variance differs from the others' by so many standard deviations, and when it
+# has so many degrees of freedom.
+OWN_NOISE, OWN_FREEDOM = 4.0, 8.0
+# Rounds of re-weighting at the median's noise level.
+MEDIAN_ROUNDS = 3
+
+
+class Views(NamedTuple):
+    """n matches in C cameras.
+
+    Attributes:
+        points: (n, 3) model points, relative to the model's centre.
+        images: (n, 2) where they are seen, normalised.
+        to_pixels: (n, 4) the derivative of the recorded pixel by the normalised point, row-major: lens and focal lengths.
+        start: (C + 1,) camera c has the matches start[c] to start[c + 1].
+        turns: (C, 3, 3) and shifts: (C, 3), camera_from_world.
+    """
+
+    points: FloatArray
+    images: FloatArray
+    to_pixels: FloatArray
+    start: IntArray
+    turns: FloatArray
+    shifts: FloatArray
+
+
+class Noise(NamedTuple):
+    """The noise of each camera.
+
+    Attributes:
+        variances: (C,) of a coordinate, pixels squared.
+        tops: (C,) squared distances, pixels squared, from which on a match is an outlier.
+    """
+
+    variances: FloatArray
+    tops: FloatArray
+
+
+@kernel
+def _camera_from_model(
+    views: Views, c: int, rotation: FloatArray, place: FloatArray, turn: FloatArray, shift: FloatArray
+) -> None:
+    """turn (3, 3) and shift (3,) become those from the model to camera c."""
+    q = views.turns[c]
+    for i in range(3):
+        shift[i] = views.shifts[c, i] + q[i, 0] * place[0] + q[i, 1] * place[1] + q[i, 2] * place[2]
+        for j in range(3):
+            turn[i, j] = q[i, 0] * rotation[0, j] + q[i, 1] * rotation[1, j] + q[i, 2] * rotation[2, j]
+
+
+@kernel
+def _seen(views: Views, k: int, turn: FloatArray, shift: FloatArray) -> tuple[float, float, float, float, float]:
+    """Match k in its camera: depth, normalised image (2), reprojection error in pixels (2); for positive depths only."""
+    x, y, z = views.points[k, 0], views.points[k, 1], views.points[k, 2]
+    depth = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z + shift[2]
+    u = (turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + shift[0]) / depth
+    v = (turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + shift[1]) / depth
+    du, dv = u - views.images[k, 0], v - views.images[k, 1]
+    by = views.to_pixels
+    return depth, u, v, by[k, 0] * du + by[k, 1] * dv, by[k, 2] * du + by[k, 3] * dv
+
+
+@kernel
+def squares_of(views: Views, rotation: FloatArray, place: FloatArray, out: FloatArray) -> None:
+    """out (n,): squared reprojection errors, pixels; infinite behind a camera."""
+    turn, shift = np.empty((3, 3)), np.empty(3)
+    for c in range(len(views.turns)):
+        _camera_from_model(views, c, rotation, place, turn, shift)
+        for k in range(views.start[c], views.start[c + 1]):
+            depth, _, _, r0, r1 = _seen(views, k, turn, shift)
+            out[k] = r0 * r0 + r1 * r1 if depth > 0.0 else np.inf
+
+
+@kernel
+def score(views: Views, rotation: FloatArray, place: FloatArray, top: float, bound: float) -> float:
+    """Sum over the matches of the loss with the cutoff sqrt(top) pixels, each between 0 and 1; given up beyond `bound`."""
+    turn, shift = np.empty((3, 3)), np.empty(3)
+    total = 0.0
+    for c in range(len(views.turns)):
+        _camera_from_model(views, c, rotation, place, turn, shift)
+        for k in range(views.start[c], views.start[c + 1]):
+            depth, _, _, r0, r1 = _seen(views, k, turn, shift)
+            share = (r0 * r0 + r1 * r1) / top if depth > 0.0 else 2.0
+            s2 = share * share
+            total += share * (1.0 - s2 * (2.0 / 3.0 - 0.2 * s2)) / SATURATION if share < 1.0 else 1.0
+        if total > bound:
+            return total
+    return total
+
+
+@kernel
+def _normal_equations(
+    views: Views,
+    rotation: FloatArray,
+    place: FloatArray,
+    noise: Noise,
+    hessian: FloatArray,
+    gradient: FloatArray,
+) -> float:
+    """hessian (6, 6) and gradient (6,) by (w, d) of the re-weighted squares in units of their variance, and the loss."""
+    for i in range(6):
+        gradient[i] = 0.0
+        for j in range(6):
+            hessian[i, j] = 0.0
+    turn, shift, row = np.empty((3, 3)), np.empty(3), np.empty((2, 6))
+    loss = 0.0
+    for c in range(len(views.turns)):
+        _camera_from_model(views, c, rotation, place, turn, shift)
+        q = views.turns[c]
+        variance, top = noise.variances[c], noise.tops[c]
+        for k in range(views.start[c], views.start[c + 1]):
+            depth, u, v, r0, r1 = _seen(views, k, turn, shift)
+            share = (r0 * r0 + r1 * r1) / top if depth > 0.0 else 2.0
+            if not share < 1.0:
+                loss += 0.5 * top / variance * SATURATION
+                continue
+            s2 = share * share
+            loss += 0.5 * top / variance * share * (1.0 - s2 * (2.0 / 3.0 - 0.2 * s2))
+            weight = (1.0 - s2) ** 2 / variance
+            # The point relative to the model's centre, turned into the world.
+            x, y, z = views.points[k, 0], views.points[k, 1], views.points[k, 2]
+            x0 = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
+            x1 = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
+            x2 = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
+            by = views.to_pixels
+            for j in range(3):
+                by_u, by_v = (q[0, j] - u * q[2, j]) / depth, (q[1, j] - v * q[2, j]) / depth
+                row[0, 3 + j] = by[k, 0] * by_u + by[k, 1] * by_v
+                row[1, 3 + j] = by[k, 2] * by_u + by[k, 3] * by_v
+            for i in range(2):
+                row[i, 0] = x1 * row[i, 5] - x2 * row[i, 4]
+                row[i, 1] = x2 * row[i, 3] - x0 * row[i, 5]
+                row[i, 2] = x0 * row[i, 4] - x1 * row[i, 3]
+            for i in range(6):
+                w0, w1 = weight * row[0, i], weight * row[1, i]
+                gradient[i] += w0 * r0 + w1 * r1
+                for j in range(i + 1):
+                    hessian[i, j] += w0 * row[0, j] + w1 * row[1, j]
+    for i in range(6):
+        for j in range(i):
+            hessian[j, i] = hessian[i, j]
+    return loss
+
+
+@kernel
+def _copy_pose(rotation: FloatArray, place: FloatArray, to_rotation: FloatArray, to_place: FloatArray) -> None:
+    for i in range(3):
+        to_place[i] = place[i]
+        for j in range(3):
+            to_rotation[i, j] = rotation[i, j]
+
+
+@kernel
+def minimize(
+    views: Views, rotation: FloatArray, place: FloatArray, noise: Noise, steps: int, damping: float
+) -> tuple[float, float]:
+    """Levenberg-Marquardt on the loss at a fixed noise level, in place.
+
+    Returns:
+        what the last step promised to lower the loss by, and the damping to go on with.
+    """
+    hessian, gradient = np.empty((6, 6)), np.empty(6)
+    new_hessian, new_gradient = np.empty((6, 6)), np.empty(6)
+    new_rotation, new_place = np.empty((3, 3)), np.empty(3)
+    damped, step = np.empty((6, 6)), np.empty(6)
+    loss = _normal_equations(views, rotation, place, noise, hessian, gradient)
+    promised = np.inf
+    for _ in range(steps):
+        for i in range(6):
+            for j in range(6):
+                damped[i, j] = hessian[i, j]
+            damped[i, i] *= 1.0 + damping
+            step[i] = -gradient[i]
+        if not cholesky_solve(damped, step):
+            damping = max(10.0 * damping, 1e-8)
+            promised = np.inf
+            continue
+        promised = 0.0
+        for i in range(6):
+            promised -= 0.5 * step[i] * gradient[i]
+        turn_by(step[:3], rotation, new_rotation)
+        for i in range(3):
+            new_place[i] = place[i] + step[3 + i]
+        new_loss = _normal_equations(views, new_rotation, new_place, noise, new_hessian, new_gradient)
+        if new_loss <= loss:
+            _copy_pose(new_rotation, new_place, rotation, place)
+            hessian, new_hessian, gradient, new_gradient = new_hessian, hessian, new_gradient, gradient
+            loss = new_loss
+            damping = 0.1 * damping if damping > 1e-6 else 0.0
+        else:
+            damping = max(10.0 * damping, 1e-3)
+    return promised, damping
+
+
+@kernel
+def _median(squares: FloatArray, top: float) -> tuple[float, int]:
+    """The median of the squares below `top`, to a thousandth, and their number: bisection needs no copy and no sorting."""
+    count = 0
+    for s in squares:
+        count += s < top
+    low, high = 0.0, top
+    # Noise may be anywhere between rounding and the top: halve the exponent first.
+    for _ in range(60):
+        if high < 1.001 * low:
+            break
+        middle = np.sqrt(low * high) if low > 0.0 else 0.01 * high
+        below = 0
+        for s in squares:
+            below += s < middle
+        if 2 * below >= count:
+            high = middle
+        else:
+            low = middle
+        if high < ROUNDING_PX * ROUNDING_PX:
+            break
+    return high, count
+
+
+@kernel
+def _weigh(squares: FloatArray, start: IntArray, noise: Noise, weights: FloatArray) -> None:
+    """weights (n,) of squared distances (n,)."""
+    for c in range(len(start) - 1):
+        for k in range(start[c], start[c + 1]):
+            share = squares[k] / noise.tops[c]
+            weights[k] = (1.0 - share * share) ** 2 if share < 1.0 else 0.0
+
+
+@kernel
+def _set_noise(noise: Noise, c: int, variance: float, freedom: float, top: float) -> None:
+    """Camera c gets a variance, known with so many degrees of freedom, and the cutoff that goes with it."""
+    variance = max(variance, ROUNDING_PX * ROUNDING_PX)
+    # Few degrees of freedom may show far too little noise: the cutoff is then Student's, not Gauss's.
+    factor = max(CUTOFF * CUTOFF, freedom * (np.exp(min(2.0 * WIDE / freedom, 50.0)) - 1.0))
+    noise.variances[c] = variance
+    noise.tops[c] = min(factor * variance, top)
+
+
+@kernel
+def _measure_noise(squares: FloatArray, start: IntArray, weights: FloatArray, top: float, noise: Noise) -> float:
+    """The noise from the weighted squares: one level for all cameras, its own for a camera that certainly differs.
+
+    Returns:
+        degrees of freedom.
+    """
+    n_cameras = len(start) - 1
+    sums, counts = np.zeros(n_cameras), np.zeros(n_cameras)
+    total = 0.0
+    for c in range(n_cameras):
+        agree = 0
+        for k in range(start[c], start[c + 1]):
+            if weights[k] > 0.0:
+                sums[c] += weights[k] * squares[k]
+                counts[c] += weights[k]
+                agree += 1
+        # What the weights take from Gaussian noise goes with the fourth power of the cutoff.
+        lost = (CUTOFF * CUTOFF * noise.variances[c] / noise.tops[c]) ** 2
+        sums[c] /= 1.0 - min(lost * LOST_SQUARE, 0.5)
+        counts[c] = 2.0 * min(counts[c] / (1.0 - min(lost * LOST_WEIGHT, 0.5)), float(agree))
+        total += counts[c]
+    freedom = max(total - 6.0, 1.0)
+    left = freedom / max(total, 1.0)
+    own = np.zeros(n_cameras, np.bool_)
+    common = 1.0
+    for _ in range(3):
+        squared, free = 0.0, 0.0
+        for c in range(n_cameras):
+            if not own[c]:
+                squared, free = squared + sums[c], free + left * counts[c]
+        if free <= 0.0:
+            break
+        common = max(squared / free, ROUNDING_PX * ROUNDING_PX)
+        for c in range(n_cameras):
+            mine = left * counts[c]
+            # A camera most of whose matches disagree has outliers, not noise.
+            if mine >= OWN_FREEDOM and counts[c] >= start[c + 1] - start[c]:
+                ratio = np.log(max(sums[c] / mine, ROUNDING_PX * ROUNDING_PX) / common)
+                own[c] = abs(ratio) > OWN_NOISE * np.sqrt(2.0 / mine + 2.0 / free)
+    for c in range(n_cameras):
+        _set_noise(noise, c, sums[c] / (left * counts[c]) if own[c] else common, freedom, top)
+    return freedom
+
+
+@kernel
+def fit(
+    views: Views,
+    rotation: FloatArray,
+    place: FloatArray,
+    top: float,
+    rounds: int,
+    steps: int,
+    squares: FloatArray,
+    weights: FloatArray,
+    noise: Noise,
+) -> tuple[int, float, bool]:
+    """The robust fit from a start, in place: re-weighting at the noise level that the distances show.
+
+    The median tells the noise at first, since it bears outliers and a start that is not exact; then the weighted mean
+    square does, which is the better measure once outliers are out.
+
+    Args:
+        top: squared distances beyond it are outliers whatever the noise.
+        rounds, steps: at most so many rounds of so many steps each (arguments, since Numba compiles a version of
+            `minimize` for every constant).
+        squares, weights: (n,) and noise, filled.
+
+    Returns:
+        rounds used, degrees of freedom, and whether it settled.
+    """
+    damping, freedom, promised, change = 1e-4, 1.0, np.inf, np.inf
+    round_ = 0
+    for round_ in range(rounds):
+        squares_of(views, rotation, place, squares)
+        before = noise.variances[0]
+        if round_ < MEDIAN_ROUNDS:
+            median, count = _median(squares, top)
+            if count < 4:
+                return round_, 1.0, False
+            # 1.386 is the median of the squared length of two Gaussian coordinates; six unknowns have been fitted.
+            variance = median / 1.386 * count / max(count - 3.0, 1.0)
+            for c in range(len(noise.tops)):
+                _set_noise(noise, c, variance, max(2.0 * count - 6.0, 1.0), top)
+        else:
+            _weigh(squares, views.start, noise, weights)
+            freedom = _measure_noise(squares, views.start, weights, top, noise)
+            change = abs(noise.variances[0] / before - 1.0)
+        if round_ > MEDIAN_ROUNDS and promised < 1e-10 and change < 1e-4:
+            break
+        promised, damping = minimize(views, rotation, place, noise, steps, damping)
+    _weigh(squares, views.start, noise, weights)
+    return round_, freedom, promised < 1e-4 and change < 0.1
+
+
+@kernel
+def information(views: Views, rotation: FloatArray, place: FloatArray, noise: Noise, out: FloatArray) -> None:
+    """out (6, 6) becomes the information about (w, d): the inverse of the covariance that these weights have."""
+    _normal_equations(views, rotation, place, noise, out, np.empty(6))
+    for i in range(6):
+        for j in range(6):
+            out[i, j] *= EFFICIENCY / (1.0 - LOST_WEIGHT)
+
+
+@kernel
+def search(
+    views: Views,
+    draws: FloatArray,
+    top: float,
+    steps: int,
+    rotations: FloatArray,
+    places: FloatArray,
+    scores: FloatArray,
+) -> None:
+    """Random samples of three matches; each that is the best so far is improved on all matches and kept.
+
+    Args:
+        draws: (S, 6) uniform in [0, 1), what the samples are made of.
+        top: squared distance beyond which a match is wrong, pixels squared.
+        steps: that improve a pose.
+        rotations: (K, 3, 3), places: (K, 3), scores: (K + 1,): the poses kept, best first, and the score of the best sample;
+            infinite scores to begin with.
+    """
+    n, n_cameras, kept = len(views.points), len(views.turns), len(places)
+    origins, rays, model = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    found_rotations, found_places = np.empty((8, 3, 3)), np.empty((8, 3))
+    noise = Noise(np.full(n_cameras, top / (CUTOFF * CUTOFF)), np.full(n_cameras, top))
+    for s in range(len(draws)):
+        for i in range(3):
+            k = int(draws[s, i] * n)
+            if s % 2 == 1:  # every camera as often as another: one with many wrong matches must not be all there is
+                c = int(draws[s, 3 + i] * n_cameras)
+                k = views.start[c] + int(draws[s, i] * (views.start[c + 1] - views.start[c]))
+            c = 0
+            while k >= views.start[c + 1]:
+                c += 1
+            q, shift = views.turns[c], views.shifts[c]
+            u, v = views.images[k, 0], views.images[k, 1]
+            length = np.sqrt(u * u + v * v + 1.0)
+            for j in range(3):
+                origins[i, j] = -(q[0, j] * shift[0] + q[1, j] * shift[1] + q[2, j] * shift[2])
+                rays[i, j] = (q[0, j] * u + q[1, j] * v + q[2, j]) / length
+                model[i, j] = views.points[k, j]
+        best = -1
+        for h in range(three_rays(origins, rays, model, found_rotations, found_places)):
+            value = score(views, found_rotations[h], found_places[h], top, scores[kept])
+            if value < scores[kept]:
+                scores[kept], best = value, h
+        if best < 0:
+            continue
+        rotation, place = found_rotations[best], found_places[best]
+        minimize(views, rotation, place, noise, steps, 1e-3)
+        value = score(views, rotation, place, top, scores[kept - 1])
+        if not value < scores[kept - 1]:
+            continue
+        at = kept - 1
+        while at > 0 and value < scores[at - 1]:
+            _copy_pose(rotations[at - 1], places[at - 1], rotations[at], places[at])
+            scores[at] = scores[at - 1]
+            at -= 1
+        _copy_pose(rotation, place, rotations[at], places[at])
+        scores[at] = value

@@ -1,0 +1,1 @@
+"""Where features are on the object, better from frame to frame."""

@@ -1,0 +1,190 @@
+"""What is known of each feature's place on the object: a mean and an information matrix, growing with every sight of it.
+
+A feature seen once lies on its ray, somewhere in the object's depth; each further sight adds a ray. In the object's frame a
+ray from o along r at distance d, with an image noise of σ/f, is the information (I - r r') / (d σ/f)² about the point, so
+places are fused by adding information, whatever the order (docs/method.md, "Better than two frames").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.features.sift import Features
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.rig import Camera
+
+__all__ = ["Landmarks", "depth_prior", "learn_landmarks", "new_landmarks", "seen_again"]
+
+
+# Image noise of a ray, pixels. More than a keypoint's own noise: the poses that rays are placed with have errors too,
+# and those do not average out over the features of one frame.
+RAY_SIGMA_PX = 2.0
+# Neighbours in the image that a new feature's depth is guessed from.
+NEIGHBOURS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Places of n features in the object's frame.
+
+    Attributes:
+        mean: (n, 3).
+        information: (n, 3, 3), the inverse covariances.
+        seen: (n,) in how many frames each was seen.
+        moved: (n,) whether it was ever seen to move with the object. What never was may be background.
+        id: (n,) the landmark's number; the same feature seen again in another frame keeps it.
+    """
+
+    mean: FloatArray
+    information: FloatArray
+    seen: IntArray
+    moved: BoolArray
+    id: IntArray
+
+    @classmethod
+    def none(cls) -> Landmarks:
+        """No landmarks."""
+        nothing = np.empty(0, np.int64)
+        return cls(np.empty((0, 3)), np.empty((0, 3, 3)), nothing, np.empty(0, bool), nothing)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Landmarks]) -> Landmarks:
+        """All parts after each other."""
+        parts = [cls.none(), *parts]
+        return cls(
+            np.concatenate([p.mean for p in parts]),
+            np.concatenate([p.information for p in parts]),
+            np.concatenate([p.seen for p in parts]),
+            np.concatenate([p.moved for p in parts]),
+            np.concatenate([p.id for p in parts]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    @property
+    def depth_error(self) -> FloatArray:
+        """(n, 3) the direction in which each place is least known, one standard deviation long; its sign is open."""
+        values, vectors = np.linalg.eigh(self.information)
+        return np.asarray(vectors[:, :, 0] / np.sqrt(np.maximum(values[:, :1], 1e-30)))
+
+    @property
+    def depth_sd(self) -> FloatArray:
+        """(n,) standard deviation in that direction."""
+        return np.asarray(1.0 / np.sqrt(np.maximum(np.linalg.eigvalsh(self.information)[:, 0], 1e-30)))
+
+    def update(self, index: IntArray, known: Landmarks) -> None:
+        """Replaces those at `index` (k,) by other ones (k)."""
+        for part in fields(Landmarks):
+            getattr(self, part.name)[index] = getattr(known, part.name)
+
+    def subset(self, index: IntArray | BoolArray) -> Landmarks:
+        """Those that a mask or an index array picks."""
+        return Landmarks(self.mean[index], self.information[index], self.seen[index], self.moved[index], self.id[index])
+
+
+def rays(features: Features, camera: Camera, object_from_world: RigidTransform) -> tuple[FloatArray, FloatArray]:
+    """Camera's centre (3,) and the features' unit directions (n, 3), object's frame."""
+    homogeneous = np.column_stack([features.normalized, np.ones(len(features))])
+    directions = object_from_world.rotation.apply(homogeneous @ camera.rotation).reshape(-1, 3)
+    directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.asarray(object_from_world.apply(camera.center)), directions
+
+
+def new_landmarks(
+    features: Features,
+    camera: Camera,
+    object_from_world: RigidTransform,
+    distance: FloatArray,
+    sd: FloatArray,
+    first_id: int = 0,
+) -> Landmarks:
+    """Features seen for the first time: on their rays, at a distance (n,) from the camera give or take sd (n,)."""
+    center, directions = rays(features, camera, object_from_world)
+    mean = center + distance[:, None] * directions
+    along = directions[:, :, None] * directions[:, None, :]
+    across = (camera.focal / (RAY_SIGMA_PX * distance)) ** 2
+    information = across[:, None, None] * (np.eye(3) - along) + along / (sd**2)[:, None, None]
+    ids = first_id + np.arange(len(mean))
+    return Landmarks(mean, information, np.ones(len(mean), np.int64), np.zeros(len(mean), bool), ids)
+
+
+def seen_again(known: Landmarks, features: Features, camera: Camera, object_from_world: RigidTransform) -> Landmarks:
+    """Adds each feature's ray (n) to what is known of its landmark (n)."""
+    center, directions = rays(features, camera, object_from_world)
+    distance = np.linalg.norm(known.mean - center, axis=1)
+    across = (camera.focal / (RAY_SIGMA_PX * np.maximum(distance, 1e-12))) ** 2
+    ray = across[:, None, None] * (np.eye(3) - directions[:, :, None] * directions[:, None, :])
+    information = known.information + ray
+    right = np.einsum("nij,nj->ni", known.information, known.mean) + ray @ center
+    mean = np.linalg.solve(information, right[..., None])[..., 0]
+    return replace(known, mean=mean, information=information, seen=known.seen + 1)
+
+
+def depth_prior(
+    features: Features,
+    camera: Camera,
+    world_from_object: RigidTransform,
+    cloud: FloatArray,
+    radius: float,
+    bulge: float = 0.0,
+) -> tuple[FloatArray, FloatArray]:
+    """How far away features are that were never seen before, from the object's points around them in the image.
+
+    Args:
+        cloud: (m, 3) points on or in the object, object's frame.
+        radius: of the object, which bounds the answer's uncertainty: above and, at three tenths of it, below.
+        bulge: how much nearer than the cloud the surface is thought to be at the middle of the object, in radii, falling to
+            nothing at its rim like a sphere's.
+
+    Returns:
+        distance (n,) from the camera; sd (n,).
+    """
+    n = len(features)
+    points = world_from_object.apply(cloud).reshape(-1, 3)
+    pixels = camera.project(points)
+    seen = np.isfinite(pixels).all(axis=1)
+    middle = float(np.linalg.norm(world_from_object.translation - camera.center))
+    if seen.sum() < NEIGHBOURS or n == 0:
+        return np.full(n, middle), np.full(n, radius)
+    distance = np.linalg.norm(points[seen] - camera.center, axis=1)
+    gap, index = cKDTree(pixels[seen]).query(features.pixels, NEIGHBOURS)
+    near = distance[index]
+    # A gap in the image may be a gap of the same size in depth.
+    extrapolation = gap.mean(axis=1) / camera.focal * middle
+    if bulge:
+        offset = np.linalg.norm(features.pixels - camera.project(world_from_object.translation), axis=1)
+        rim = 1.1 * offset.max()
+        near = near - (bulge * radius * np.sqrt(1.0 - (offset / rim) ** 2))[:, None]
+    return near.mean(axis=1), np.sqrt(near.var(axis=1) + extrapolation**2).clip(0.3 * radius, radius)
+
+
+def learn_landmarks(
+    features: Features,
+    camera: Camera,
+    world_from_object: RigidTransform,
+    known: Landmarks,
+    index: IntArray,
+    cloud: FloatArray,
+    radius: float,
+    bulge: float = 0.0,
+    first_id: int = 0,
+) -> Landmarks:
+    """The landmarks of a solved frame's features: known ones (k) seen again at `index` (k,), the others new, with the
+    numbers `first_id` and following.
+
+    Args: see `depth_prior`.
+    """
+    object_from_world = world_from_object.inv()
+    unknown = np.setdiff1d(np.arange(len(features)), index)
+    young = features.subset(unknown)
+    distance, sd = depth_prior(young, camera, world_from_object, cloud, radius, bulge)
+    new = new_landmarks(young, camera, object_from_world, distance, sd, first_id)
+    old = seen_again(known, features.subset(index), camera, object_from_world)
+    order = np.argsort(np.concatenate([index, unknown]))
+    return Landmarks.concatenate([old, new]).subset(order)

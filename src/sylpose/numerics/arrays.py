@@ -1,0 +1,15 @@
+"""The array types of all signatures; shapes stand in the docstrings."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["BoolArray", "FloatArray", "FloatImage", "Image", "IntArray"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+# (h, w) grey or (h, w, 3) BGR.
+Image = NDArray[np.uint8]
+FloatImage = NDArray[np.float32]

@@ -1,0 +1,136 @@
+"""Hot loops: Numba's decorator, typed, and the small linear algebra that the loops share.
+
+Compiled code is cached on disk, so only the first call after an installation or an update compiles; every later process
+loads in a fraction of a second. Kernels take and fill plain float64 arrays, allocate little and call no LAPACK:
+six unknowns need none, and each LAPACK call would cost a second of compiling.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar, cast
+
+import numba
+import numpy as np
+
+from sylpose.numerics.arrays import FloatArray
+
+__all__ = ["cholesky", "cholesky_solve", "kernel", "rotation_of", "rotvec_of", "solve_factored", "turn_by"]
+
+F = TypeVar("F", bound=Callable[..., object])
+
+
+def kernel(function: F) -> F:
+    """Compiles a function of arrays and numbers on its first call; the types of the source stay for the checker.
+
+    Division by zero gives inf or NaN as in NumPy, and the interpreter's lock is released while it runs.
+    """
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+@kernel
+def cholesky(a: FloatArray) -> bool:
+    """a (n, n), symmetric, becomes its Cholesky factor (lower triangle) in place.
+
+    Returns:
+        False, with a half done, where a is not positive definite.
+    """
+    n = a.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            s = a[i, j]
+            for k in range(j):
+                s -= a[i, k] * a[j, k]
+            if i == j:
+                if not s > 0.0:
+                    return False
+                a[i, i] = np.sqrt(s)
+            else:
+                a[i, j] = s / a[j, j]
+    return True
+
+
+@kernel
+def solve_factored(a: FloatArray, b: FloatArray) -> None:
+    """b (n,) becomes x with L L' x = b, for a (n, n) whose lower triangle is L (`cholesky`)."""
+    n = a.shape[0]
+    for i in range(n):
+        s = b[i]
+        for k in range(i):
+            s -= a[i, k] * b[k]
+        b[i] = s / a[i, i]
+    for i in range(n - 1, -1, -1):
+        s = b[i]
+        for k in range(i + 1, n):
+            s -= a[k, i] * b[k]
+        b[i] = s / a[i, i]
+
+
+@kernel
+def cholesky_solve(a: FloatArray, b: FloatArray) -> bool:
+    """Solves a x = b in place: b (n,) becomes x, a (n, n) symmetric becomes its Cholesky factor (lower).
+
+    Returns:
+        False, with a half done, where a is not positive definite.
+    """
+    if not cholesky(a):
+        return False
+    solve_factored(a, b)
+    return True
+
+
+@kernel
+def rotation_of(w: FloatArray, out: FloatArray) -> None:
+    """Rodrigues' formula: out (3, 3) becomes exp([w]x) of w (3,)."""
+    angle2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+    if angle2 < 1e-12:
+        s, c = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
+    else:
+        angle = np.sqrt(angle2)
+        s, c = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle2
+    x, y, z = w[0], w[1], w[2]
+    out[0, 0] = 1.0 - c * (y * y + z * z)
+    out[1, 1] = 1.0 - c * (x * x + z * z)
+    out[2, 2] = 1.0 - c * (x * x + y * y)
+    out[0, 1], out[1, 0] = c * x * y - s * z, c * x * y + s * z
+    out[0, 2], out[2, 0] = c * x * z + s * y, c * x * z - s * y
+    out[1, 2], out[2, 1] = c * y * z - s * x, c * y * z + s * x
+
+
+@kernel
+def turn_by(w: FloatArray, rotation: FloatArray, out: FloatArray) -> None:
+    """out (3, 3) becomes exp([w]x) rotation; out must not be rotation."""
+    step = np.empty((3, 3))
+    rotation_of(w, step)
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = step[i, 0] * rotation[0, j] + step[i, 1] * rotation[1, j] + step[i, 2] * rotation[2, j]
+
+
+@kernel
+def rotvec_of(rotation: FloatArray, out: FloatArray) -> None:
+    """out (3,) becomes the rotation vector of a rotation matrix; the inverse of `rotation_of`."""
+    out[0] = rotation[2, 1] - rotation[1, 2]
+    out[1] = rotation[0, 2] - rotation[2, 0]
+    out[2] = rotation[1, 0] - rotation[0, 1]
+    twice_sine = np.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
+    trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
+    angle = np.arctan2(twice_sine, trace - 1.0)
+    if trace > -0.9:
+        factor = angle / twice_sine if twice_sine > 1e-9 else 0.5
+        for i in range(3):
+            out[i] *= factor
+        return
+    # Near half a turn the antisymmetric part vanishes: the axis is the largest column of R + R' + (1 - trace) I.
+    column = 0
+    for k in range(1, 3):
+        if rotation[k, k] > rotation[column, column]:
+            column = k
+    axis, length, sign = np.empty(3), 0.0, 0.0
+    for i in range(3):
+        axis[i] = rotation[i, column] + rotation[column, i] + (1.0 - trace if i == column else 0.0)
+        length += axis[i] ** 2
+        sign += axis[i] * out[i]
+    length = np.sqrt(length) if sign >= 0.0 else -np.sqrt(length)
+    for i in range(3):
+        out[i] = angle * axis[i] / length

@@ -1,0 +1,72 @@
+"""Small matrices: products and transposes of stacks, rotations, covariances of information."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sylpose.numerics.arrays import FloatArray
+
+__all__ = ["checked_rotations", "covariance_of", "forget", "kron", "transpose", "turn_to"]
+
+
+def kron(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Kronecker product over the last two axes, leading axes broadcast."""
+    out = a[..., :, None, :, None] * b[..., None, :, None, :]
+    rows, columns = a.shape[-2] * b.shape[-2], a.shape[-1] * b.shape[-1]
+    return np.asarray(out.reshape(*out.shape[:-4], rows, columns))
+
+
+def transpose(a: FloatArray) -> FloatArray:
+    """Of the last two axes."""
+    return np.asarray(np.swapaxes(a, -1, -2))
+
+
+def checked_rotations(rotations: ArrayLike, n: int) -> FloatArray:
+    """(n, 3, 3) rotation matrices, or a ValueError that says which is none."""
+    out = np.asarray(rotations, dtype=float)
+    if out.ndim != 3 or out.shape[1:] != (3, 3) or len(out) != n or n == 0:
+        raise ValueError(f"rotations must be (C, 3, 3) for C = {n} moments, C >= 1; got shape {out.shape}")
+    finite = np.where(np.isfinite(out).all(axis=(1, 2), keepdims=True), out, 0)
+    wrong = (np.abs(finite @ transpose(finite) - np.eye(3)).max(axis=(1, 2)) > 1e-6) | (np.linalg.det(finite) < 0)
+    if wrong.any():
+        raise ValueError(f"rotations[{int(np.argmax(wrong))}] is not a rotation matrix")
+    return out
+
+
+def turn_to(x: FloatArray) -> FloatArray:
+    """(..., 2) normalised points -> (..., 3, 3) the least rotations that take their rays to the z axis."""
+    u = np.concatenate([x, np.ones((*x.shape[:-1], 1))], axis=-1)
+    u /= np.sqrt((u * u).sum(axis=-1, keepdims=True))
+    T = np.empty((*u.shape, 3))
+    T[..., :2, :2] = np.eye(2) - u[..., :2, None] * u[..., None, :2] / (1 + u[..., 2, None, None])
+    T[..., :2, 2] = -u[..., :2]
+    T[..., 2, :] = u
+    return T
+
+
+def forget(information: FloatArray, direction: FloatArray) -> FloatArray:
+    """Information (6, 6) less all that it says of one direction (6,)."""
+    along = information @ direction
+    known = float(direction @ along)
+    # Nothing is known of it already, up to rounding.
+    if known <= 1e-12 * float(direction**2 @ np.diag(information)):
+        return information
+    return np.asarray(information - np.outer(along, along) / known)
+
+
+def covariance_of(information: FloatArray) -> FloatArray:
+    """The inverse (n, n), with infinite variance in directions that the information knows nothing of.
+
+    Turns and displacements have different units, so it is scaled to a unit diagonal before its rank is
+    judged. Infinite variances stand on the diagonal; the covariances of such directions are 0.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    known = values > 1e-10 * max(float(values[-1]), 1e-300)
+    spread = vectors[:, known] * scale[:, None]
+    covariance = (spread / values[known]) @ spread.T
+    unknown = (np.abs(vectors[:, ~known]) > 1e-3).any(axis=1)
+    covariance[unknown] = covariance[:, unknown] = 0.0
+    covariance[unknown, unknown] = np.inf
+    return np.asarray(covariance)

@@ -1,0 +1,1 @@
+"""Chen and Schonfeld: a rotation from orthographic second moments by Sylvester's equation."""

@@ -1,0 +1,211 @@
+"""The rotation that most cameras agree on, each of them judged by the affine map that its matches give.
+
+Each camera's matches give an affine map y = F x. The object's rotation R as that camera sees it allows F = s (N + m a'),
+N the upper-left 2x2 block and m the rest of the first two rows of Q R Q', for a plane z = a'x of depths and a scale s near
+1. So each camera has the four numbers of F - N to be judged by, with a covariance that holds the noise of its matches, the
+unknown plane and scale, and what perspective leaves out (θ is the angle of R):
+
+    V = cov(F) + σ_a² mm' ⊗ I + σ_s² vec(N) vec(N)' + (τ₀² + τ₁² θ²) I,   score = vec(F - N)' V⁻¹ vec(F - N).
+
+The rotation is searched for from small groups of cameras, so that bad ones do not hide behind what they do to the estimate.
+Of two rotations that explain the scores, the smaller turn is likelier: the larger one explains anything, log det V says.
+
+Source: method.md, section 3 (the depth plane); the search is ours.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.matrices import transpose
+from sylpose.paper.orthographic import Views
+
+__all__ = ["FAULT", "AffineFits", "Scores", "affine_fits", "agreed_rotation", "score", "settled"]
+
+
+# What is believed of a camera's view: slopes of the plane of depths, change of scale, and what is no affine image at all,
+# without a turn and per radian of it.
+SLOPE, SCALE, LEFT_OVER, LEFT_OVER_PER_RADIAN = 0.5, 0.05, 0.003, 0.03
+# A camera is at fault above this score: of good ones, boxes and ellipsoids in perspective, 99 in 100 are below 4.
+FAULT = 12.0
+# -2 log-likelihood of a camera at fault: its F may be anywhere, and few cameras are. By how much one set of faulty cameras
+# must be likelier than any other.
+AT_FAULT, MARGIN = 0.0, 6.0
+# More than so many cameras, all below this score: nothing is searched for. Fewer can all agree on something wrong.
+FEW, AGREED = 4, 4.0
+# Fewer matches than this are not judged.
+MIN_MATCHES = 6.0
+# The search starts from no more groups, and goes on with the best.
+GROUPS, KEPT = 40, 8
+_SKEW = -np.cross(np.eye(3)[:, None], np.eye(3))
+
+
+class AffineFits(NamedTuple):
+    """The affine maps of the n cameras that can be judged.
+
+    Attributes:
+        camera: (n,) indices of the cameras.
+        F: (n, 2, 2) y = F x on centred points.
+        noise: (n, 4, 4) covariance of vec(F), from what the map leaves.
+        axes_x, axes_y: (n, 3, 3) of the camera in frames i and j, in the world.
+        misfit: (n,) Σ w |y - Fx|².
+        weight: (n,) Σ w.
+    """
+
+    camera: IntArray
+    F: FloatArray
+    noise: FloatArray
+    axes_x: FloatArray
+    axes_y: FloatArray
+    misfit: FloatArray
+    weight: FloatArray
+
+    def subset(self, rows: IntArray) -> AffineFits:
+        """The fits that an index array picks."""
+        return AffineFits._make(field[rows] for field in self)
+
+
+class Scores(NamedTuple):
+    """Of K rotations and n cameras.
+
+    Attributes:
+        squared: (K, n) the scores.
+        unlikely: (K, n) the scores plus log det V.
+        difference: (K, n, 4) vec(F - N).
+        precision: (K, n, 4, 4) V⁻¹.
+        jacobian: (K, n, 4, 3) of vec(N + m a') by w, R = exp(w) R, for the slopes a that suit each camera there.
+    """
+
+    squared: FloatArray
+    unlikely: FloatArray
+    difference: FloatArray
+    precision: FloatArray
+    jacobian: FloatArray
+
+
+def affine_fits(views: Views) -> AffineFits:
+    """Of the cameras with at least `MIN_MATCHES` matches that are not all on one line."""
+    spread = np.linalg.eigvalsh(views.s_xx)
+    enough = (views.weights >= MIN_MATCHES) & (spread[:, 0] > 1e-9 * spread[:, 1])
+    enough &= spread[:, 1] > 1e-13 * views.total
+    v = views.subset(enough)
+    inverse = np.linalg.inv(v.s_xx)
+    F = v.s_yx @ inverse
+    misfit = v.s_yy - F @ transpose(v.s_yx)
+    misfit = (misfit + transpose(misfit)) / 2
+    values, vectors = np.linalg.eigh(misfit)
+    misfit = (vectors * np.maximum(values, 0.0)[:, None]) @ transpose(vectors)
+    variance = misfit / (v.weights - 3)[:, None, None]
+    noise = (variance[:, :, None, :, None] * inverse[:, None, :, None, :]).reshape(-1, 4, 4)
+    total = np.trace(misfit, axis1=1, axis2=2)
+    return AffineFits(np.flatnonzero(enough), F, noise, v.rotation_x, v.rotation_y, total, v.weights)
+
+
+def score(fits: AffineFits, rotations: FloatArray) -> Scores:
+    """The scores of all cameras at K rotations (K, 3, 3)."""
+    to_y = fits.axes_y[:, :2]
+    from_x = transpose(fits.axes_x)
+    seen = to_y @ rotations[:, None] @ from_x
+    N, m = seen[..., :2], seen[..., 2]
+    shape = N.shape[:2]
+    n = N.reshape(*shape, 4)
+    angle = Rotation.from_matrix(rotations).magnitude()
+    left_over = LEFT_OVER**2 + (LEFT_OVER_PER_RADIAN * angle) ** 2
+    V = fits.noise + SCALE**2 * n[..., :, None] * n[..., None, :] + left_over[:, None, None, None] * np.eye(4)
+    along = m[..., :, None, None, None] * m[..., None, None, :, None] * np.eye(2)[:, None]
+    V += SLOPE**2 * along.reshape(*shape, 4, 4)
+    precision = np.linalg.inv(V)
+    difference = fits.F.reshape(-1, 4) - n
+    weighted = (precision @ difference[..., None])[..., 0]
+    slopes = SLOPE**2 * (m[..., None, :] @ weighted.reshape(N.shape))  # (K, n, 1, 2)
+    turned = (to_y[:, None] @ _SKEW) @ rotations[:, None, None] @ from_x[:, None]  # (K, n, 3, 2, 3): by w
+    jacobian = (turned[..., :2] + turned[..., 2:] * slopes[..., None, :, :]).reshape(*shape, 3, 4)
+    squared = (difference * weighted).sum(axis=-1)
+    return Scores(squared, squared + np.linalg.slogdet(V)[1], difference, precision, transpose(jacobian))
+
+
+def _refined(
+    fits: AffineFits, rotations: FloatArray, masks: BoolArray, bound: int = 12
+) -> tuple[FloatArray, FloatArray]:
+    """K rotations at which the scores of the cameras in K masks (K, n) are least, by Gauss-Newton with V held, and
+    their information (K, 3, 3). A turn of about one radian is expected, no more."""
+    information = np.empty((0, 3, 3))
+    for _ in range(bound):
+        s = score(fits, rotations)
+        weighted = transpose(s.jacobian) @ s.precision * masks[..., None, None]
+        information = np.eye(3) + (weighted @ s.jacobian).sum(axis=1)
+        gradient = (weighted @ s.difference[..., None]).sum(axis=1)
+        step = np.linalg.solve(information, gradient)[..., 0]
+        length = np.linalg.norm(step, axis=1, keepdims=True)
+        step /= np.maximum(length / 0.3, 1.0)
+        rotations = Rotation.from_rotvec(step).as_matrix() @ rotations
+        if length.max() < 1e-6:
+            break
+    return rotations, information
+
+
+def agreed_rotation(fits: AffineFits, plain: FloatArray) -> tuple[FloatArray, bool]:
+    """The likeliest rotation (3, 3), at which some cameras may be at fault, and whether it is certain which ones are.
+
+    Args:
+        fits: n cameras.
+        plain: (3, 3) a rotation to start from, besides the identity.
+    """
+    n = len(fits.camera)
+    starts = np.stack([np.eye(3), plain])
+    R, _ = _refined(fits, starts, np.ones((2, n), dtype=bool))
+    worst = score(fits, R).squared.max(axis=1)
+    if n > FEW and worst.min() <= AGREED:
+        return R[np.argmin(worst)], True
+    groups = _groups(n)
+    R, _ = _refined(fits, np.repeat(starts, len(groups), axis=0), np.concatenate([groups, groups]))
+    R = R[np.argsort(_cost(score(fits, R)), kind="stable")[:KEPT]]
+    for _ in range(3):
+        # Those who agree with a group join it; those of it that do not, leave.
+        R, _ = _refined(fits, R, score(fits, R).squared <= FAULT)
+    at = score(fits, R)
+    cost, inside = _cost(at), at.squared <= FAULT
+    best = int(np.argmin(cost))
+    otherwise = inside[:, ~inside[best]].any(axis=1)  # with a camera inside that is outside of the best
+    return R[best], not bool((cost[otherwise] < cost[best] + MARGIN).any())
+
+
+def _cost(scores: Scores) -> FloatArray:
+    """(K,) -2 log-likelihood where each camera is either good or at fault."""
+    return np.asarray(np.minimum(scores.unlikely, AT_FAULT).sum(axis=1))
+
+
+def _groups(n: int) -> BoolArray:
+    """(g, n) masks: all cameras, and groups of three (of n - 1 where there are no more than three)."""
+    members = list(combinations(range(n), 3 if n > 3 else max(n - 1, 1)))
+    if len(members) > GROUPS:
+        members = [members[i] for i in np.random.default_rng(0).choice(len(members), GROUPS, replace=False)]
+    masks = np.zeros((len(members) + 1, n), dtype=bool)
+    masks[0] = True
+    for mask, member in zip(masks[1:], members, strict=True):
+        mask[list(member)] = True
+    return masks
+
+
+def settled(fits: AffineFits, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The rotation (3, 3) of all cameras that agree with one near R, and the scores (n,) of all at it; of those that do not
+    agree, with the uncertainty of that rotation in V."""
+    information = np.eye(3)
+    inside = np.zeros(len(fits.camera), dtype=bool)
+    for _ in range(5):
+        before, inside = inside, score(fits, R[None]).squared[0] <= FAULT
+        if (inside == before).all():
+            break
+        (R,), (information,) = _refined(fits, R[None], inside[None])
+    at = score(fits, R[None])
+    scores, outside = at.squared[0].copy(), ~inside
+    if inside.any():
+        J, difference = at.jacobian[0][outside], at.difference[0][outside]
+        V = np.linalg.inv(at.precision[0][outside]) + J @ np.linalg.inv(information) @ transpose(J)
+        scores[outside] = (difference * np.linalg.solve(V, difference[..., None])[..., 0]).sum(axis=1)
+    return R, scores

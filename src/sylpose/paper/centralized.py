@@ -1,0 +1,212 @@
+"""The rotation of an object from Sylvester's equation, all cameras together, with a certificate.
+
+Each camera sees y = N x + noise on centred points, N the upper-left 2x2 block of the rotation as that camera sees it.
+With P = [1 0 0; 0 1 0] and Q the camera's rotation, the least squares over all cameras is a quadratic cost on SO(3)
+whose stationary points solve a generalised Sylvester's equation:
+
+    Σ A_c R B_c + L R = Σ C_c,   R'R = I,   L = L' (3x3 multiplier),
+    A_c = Q'P'PQ,   B_c = Q'P' S_xx P Q,   C_c = Q'P' S_yx P Q.
+
+With row-major vec it is K r = h, K = H + L ⊗ I, H = Σ A_c ⊗ B_c, h = vec(Σ C_c). If K is positive definite, R is the
+global optimum, because cost(R2) - cost(R) = 1/2 (r2 - r)' K (r2 - r) for every other rotation.
+
+The depth of the points is ignored, as in the paper: unbiased only where depth is uncorrelated with the image position,
+and blind to the first order of a turn about the normal of the plane that all viewing directions lie in.
+
+Source: C. Chen, D. Schonfeld, "Pose estimation from multiple cameras based on Sylvester's equation", Computer Vision
+and Image Understanding 114 (2010); the derivation is ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sylpose.moments import PairMoments
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.matrices import transpose
+from sylpose.paper.orthographic import quadratics_of
+from sylpose.paper.so3 import FLAT, STATIONARY, cost_of, derivatives, minimize_batch, multiplier_of
+from sylpose.results import Status
+
+__all__ = [
+    "CentralizedBatch",
+    "CentralizedSolution",
+    "solve_centralized",
+    "solve_centralized_batch",
+    "status_of",
+    "unseen_turns",
+]
+
+
+# A turn about an axis is not seen if its standard deviation (radians) exceeds this.
+UNSEEN_TURN = 0.25
+
+
+def unseen_turns(information: FloatArray) -> FloatArray:
+    """The unit directions (..., k, 3) of w that are not seen: the standard deviation of the turn exceeds `UNSEEN_TURN`, or
+    the cost is as good as flat (information below a millionth of that about the best seen axis).
+
+    Args:
+        information: (..., 3, 3) of w, 1/rad²; of several, all with the first one's eigenvalues (mirrored solutions).
+    """
+    values, vectors = np.linalg.eigh(information)
+    first = values.reshape(-1, 3)[0]
+    k = int((first < max(1 / UNSEEN_TURN**2, FLAT * first[2])).sum())
+    return transpose(vectors[..., :k])
+
+
+def status_of(converged: bool, certified: bool, information: FloatArray) -> Status:
+    """What a rotation is worth whose `information` is (3, 3), the same for all estimators that ignore depth: the first of
+    NOT_CONVERGED, TURN_NOT_OBSERVABLE where there are `unseen_turns`, NOT_CERTIFIED, OK that holds."""
+    if not converged:
+        return Status.NOT_CONVERGED
+    if len(unseen_turns(information)):
+        return Status.TURN_NOT_OBSERVABLE
+    return Status.OK if certified else Status.NOT_CERTIFIED
+
+
+@dataclass(frozen=True, eq=False)
+class CentralizedSolution:
+    """The rotation that all cameras agree on best, orthographic views.
+
+    Attributes:
+        candidates: (k, 3, 3) rotations: the global optimum when `certified`, else all local minima found, best first
+            (a single camera's mirrored pair, for instance). Where a direction is not observable they sample a continuum.
+        costs: (k,) half the sum of squared residuals of each, in units in which H has the mean eigenvalue 1.
+        certified: K is positive definite, so that `rotation` is the one global optimum. Never for a single camera.
+        converged: `rotation` is a stationary point of the cost.
+        multiplier: (3, 3) L of Sylvester's equation at `rotation`, in the units of `costs`.
+        information: (3, 3) of w, R = exp(w) rotation, world axes, 1/rad²: the Hessian of the cost on SO(3) over the
+            residuals' variance (weighted mean square per coordinate; at least 1e-12 of the points' own). It shows the
+            directions that cannot be observed; it knows nothing of the model's bias.
+        iterations: Newton steps, on the dual and, where that gave no certificate, on SO(3).
+    """
+
+    candidates: FloatArray
+    costs: FloatArray
+    certified: bool
+    converged: bool
+    multiplier: FloatArray
+    information: FloatArray
+    iterations: int
+
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3) the best rotation, X_j = R X_i + t in the world frame."""
+        return np.asarray(self.candidates[0])
+
+    @property
+    def cost(self) -> float:
+        """The cost at `rotation`."""
+        return float(self.costs[0])
+
+    @property
+    def status(self) -> Status:
+        """See `status_of`."""
+        return status_of(self.converged, self.certified, self.information)
+
+
+@dataclass(frozen=True, eq=False)
+class CentralizedBatch:
+    """N problems' solutions in arrays: a sequence of `CentralizedSolution`, whose attributes these are.
+
+    Attributes:
+        candidates: (N, k, 3, 3), NaN from each problem's count on.
+        counts: (N,) of candidates.
+        costs: (N, k), NaN likewise.
+        certified, converged: (N,).
+        multiplier, information: (N, 3, 3).
+        iterations: (N,).
+    """
+
+    candidates: FloatArray
+    counts: IntArray
+    costs: FloatArray
+    certified: BoolArray
+    converged: BoolArray
+    multiplier: FloatArray
+    information: FloatArray
+    iterations: IntArray
+
+    @property
+    def rotations(self) -> FloatArray:
+        """(N, 3, 3) the best of each."""
+        return self.candidates[:, 0]
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    def __iter__(self) -> Iterator[CentralizedSolution]:
+        return (self[n] for n in range(len(self)))
+
+    def __getitem__(self, n: int) -> CentralizedSolution:
+        k = self.counts[n]
+        return CentralizedSolution(
+            candidates=self.candidates[n, :k],
+            costs=self.costs[n, :k],
+            certified=bool(self.certified[n]),
+            converged=bool(self.converged[n]),
+            multiplier=self.multiplier[n],
+            information=self.information[n],
+            iterations=int(self.iterations[n]),
+        )
+
+
+def solve_centralized(
+    rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool = True, symmetric: bool = False
+) -> CentralizedSolution:
+    """The object's rotation between two frames from the second moments of all cameras' matches.
+
+    Views are orthographic, of one scale per camera: depth that changes between the frames is not modelled. Cameras
+    weigh by the spread of their points in normalised units; a camera without matches adds nothing. Exact for noise-free
+    orthographic data in which every camera's points have depths uncorrelated with their images in frame i, if three
+    viewing directions are linearly independent and each camera's points are not collinear.
+
+    Args:
+        rotations: (C, 3, 3) Q of camera_from_world.
+        moments: C pair moments.
+        aim: turn each camera, in each frame, onto the mean ray of its matches first: perspective images are orthographic
+            to first order only about that ray. False for points that are orthographic, whose mean is no direction.
+        symmetric: fit frame j from frame i and frame i from frame j at once, so that exchanging the frames gives the
+            inverse rotation. The condition for exactness is then stricter: depths uncorrelated with the images in both
+            frames, as of points spread equally in all directions.
+
+    Raises:
+        ValueError: shapes that do not fit, matrices that are no rotations, matches without any spread.
+    """
+    matrices = np.array([m.matrix for m in moments]).reshape(1, len(moments), 9, 9)
+    return solve_centralized_batch(rotations, matrices, aim=aim, symmetric=symmetric)[0]
+
+
+def solve_centralized_batch(
+    rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True, symmetric: bool = False
+) -> CentralizedBatch:
+    """`solve_centralized` for N problems of C cameras each: the same answers to the bit, whatever the others are.
+
+    Args:
+        rotations: (N, C, 3, 3) Q of camera_from_world, or (C, 3, 3) where all problems have the same cameras.
+        moments: (N, C, 9, 9) matrices of pair moments; zero for a camera without matches.
+
+    Raises:
+        ValueError: as `solve_centralized`; moments that are not finite or not symmetric.
+    """
+    q = quadratics_of(rotations, moments, aim=aim, symmetric=symmetric)
+    found = minimize_batch(q.H, q.h)
+    best = found.candidates[:, 0]
+    gradient, hessian = derivatives(q.H, q.h, best)
+    costs = cost_of(q.H[:, None], q.h[:, None], found.candidates) + q.constant[:, None]
+    variance = np.maximum(costs[:, 0], 1e-12 * np.maximum(q.constant, 1.0)) * q.scale / q.weight
+    return CentralizedBatch(
+        candidates=found.candidates,
+        counts=found.counts,
+        costs=costs,
+        certified=found.certified,
+        converged=np.abs(gradient).max(axis=1) < STATIONARY,
+        multiplier=multiplier_of(q.H, q.h, best),
+        information=hessian * (q.scale / variance)[:, None, None],
+        iterations=found.iterations,
+    )

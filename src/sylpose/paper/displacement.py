@@ -1,0 +1,161 @@
+"""The displacement of the object, given its rotation, from the same pair moments.
+
+The paper's estimators give a rotation; orthographic second moments hold no more. What is left follows from the means, in
+weak perspective, or, where the rotation is good enough, from the epipolar geometry of all matches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from sylpose.moments import PairMoments
+from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.matrices import checked_rotations
+from sylpose.paper.orthographic import quadratic_of, views_of
+
+__all__ = ["translation_from_means", "translation_from_moments"]
+
+
+# Step of the numerical derivative by the rotation, radians.
+STEP = 1e-6
+# Rounds in which the noise's variance, which the prior is weighed against, is found.
+VARIANCES = 3
+
+
+def translation_from_means(
+    rotations: ArrayLike, centers: ArrayLike, moments: Sequence[PairMoments], rotation: ArrayLike, center: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """The displacement d of the object's centre from the means of the cameras' matches, given the rotation.
+
+    Weak perspective: all that a camera sees of the object is at the depth Z of the centre g, so its mean point in frame
+    i is s = o + Z Q'(x̄, 1). It turns with the object about g and moves by d, to s_j = g + R (s - g) + d, and is seen at
+    ȳ: with (u, v) = Q (s_j - o), u the first two coordinates, u - ȳ v = 0. That is linear in d; the residuals (u - ȳ v) / Z
+    are image distances. The visible surface is in truth nearer than g by some ρ: an error of up to ρ times the angle of the
+    turn, per camera, which cameras on opposite sides cancel. With ρ of the size of what is seen, it counts as noise.
+
+    Args:
+        rotations: (C, 3, 3) Q of camera_from_world.
+        centers: (C, 3) the cameras' centres o in the world.
+        moments: C pair moments of normalised points.
+        rotation: (3, 3) R of the object's motion, world frame.
+        center: (3,) the object's centre g in frame i, world.
+
+    Returns:
+        d: (3,) of least length where a direction is not observable (one camera: along its ray).
+        information: (3, 3) of d, by the matches' residual variance about R and the error by the surface; less, from two
+            cameras on, where the means' residuals are larger. Zero along what is not observable.
+
+    Raises:
+        ValueError: shapes that do not fit, no rotations, no matches, a centre that is not in front of a camera.
+    """
+    Q, o, used, R, g = _checked(rotations, centers, moments, rotation, center)
+    variance = quadratic_of(views_of(Q, used)).variance(R)
+    depth = np.einsum("ci,ci->c", Q[:, 2], g - o)
+    x, y = _mean_rays(used)
+    offset = o + depth[:, None] * np.einsum("cji,cj->ci", Q, x) - g
+    # Per camera the two rows [I, -ȳ] Q / Z, over their standard deviation.
+    spread = np.array([np.trace(m.s_xx) / m.count for m in used])
+    by_surface = spread * Rotation.from_matrix(R).magnitude() ** 2
+    weight = 1 / (depth * np.sqrt(variance / np.array([m.count for m in used]) + by_surface))
+    rows = weight[:, None, None] * (Q[:, :2] - y[:, :2, None] * Q[:, 2:])
+    target = np.einsum("cki,ci->ck", rows, o - g - offset @ R.T).ravel()
+    jacobian = rows.reshape(-1, 3)
+    d = np.linalg.lstsq(jacobian, target, rcond=1e-9)[0]
+    excess = 1.0
+    if len(used) > 1:
+        residuals = target - jacobian @ d
+        excess = max(excess, float(residuals @ residuals) / (2 * len(used) - 3))
+    return np.asarray(d), np.asarray(jacobian.T @ jacobian / excess)
+
+
+def translation_from_moments(
+    rotations: ArrayLike,
+    centers: ArrayLike,
+    moments: Sequence[PairMoments],
+    rotation: ArrayLike,
+    center: ArrayLike,
+    start: ArrayLike,
+    prior: ArrayLike,
+) -> tuple[FloatArray, FloatArray]:
+    """The displacement d of the object's centre from the epipolar geometry of all matches, given the rotation.
+
+    With E_c = [t_c]x R_c, t_c = Q (t + (R - I) o), t = g + d - R g, the sum over the cameras of vec(E)' M vec(E) / g_c,
+    g_c Sampson's denominator at the mean rays, is minimised over d alone (docs/method.md, "Two frames"). It is as good as
+    the rotation. Its length comes from the turn: where that is small, or all cameras are one, the first guess decides.
+
+    Args:
+        rotations, centers, moments, rotation, center: as in `translation_from_means`.
+        start, prior: (3,) a first guess of d and its (3, 3) information: of `translation_from_means`.
+
+    Returns:
+        d: (3,).
+        information: (6, 6) of (w, d) by these residuals alone: that of the rotation, and the prior, add to it.
+
+    Raises:
+        ValueError: as `translation_from_means`; a start or a prior of another shape, or not finite.
+    """
+    Q, o, used, R, g = _checked(rotations, centers, moments, rotation, center)
+    first, known = np.asarray(start, dtype=float), np.asarray(prior, dtype=float)
+    if first.shape != (3,) or known.shape != (3, 3) or not (np.isfinite(first).all() and np.isfinite(known).all()):
+        raise ValueError(f"start must be (3,) and prior (3, 3), finite; got shapes {first.shape} and {known.shape}")
+    x, y = _mean_rays(used)
+    values, vectors = np.linalg.eigh(np.array([m.matrix for m in used]))
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]  # M = root root'
+
+    def residuals(d: FloatArray, turned: FloatArray) -> FloatArray:
+        t = g + d - turned @ g + o @ turned.T - o
+        E = np.cross(np.eye(3), np.einsum("cij,cj->ci", Q, t)[:, None, :]) @ (Q @ turned @ np.swapaxes(Q, 1, 2))
+        lines = np.einsum("cij,cj->ci", E, x)[:, :2], np.einsum("cji,cj->ci", E, y)[:, :2]
+        sampson = sum((line**2).sum(axis=1) for line in lines)
+        # Without any motion both vanish.
+        distances = np.einsum("cki,ck->ci", roots, E.reshape(-1, 9)) / np.sqrt(np.maximum(sampson, 1e-24))[:, None]
+        return np.asarray(distances.ravel())
+
+    # Any length will do for the steps: that of the cameras' distances makes them of the size of angles.
+    scale = float(np.median(np.linalg.norm(o - g, axis=1)))
+    freedom = max(sum(m.count for m in used) - 6, 1.0)
+    variance = quadratic_of(views_of(Q, used)).variance(R)
+    d = first
+    # The variance is not known before the fit.
+    for _ in range(VARIANCES):
+        values, vectors = np.linalg.eigh(known * variance)
+        toward = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+
+        def both(d: FloatArray, toward: FloatArray = toward) -> FloatArray:
+            return np.concatenate([residuals(d, R), toward @ (d - first)])
+
+        found = least_squares(both, d, x_scale=scale, method="lm", max_nfev=200)
+        d = found.x
+        own = residuals(d, R)
+        variance = max(float(own @ own) / freedom, 1e-24)
+    by_turn = [(residuals(d, Rotation.from_rotvec(w).as_matrix() @ R) - own) / STEP for w in STEP * np.eye(3)]
+    jacobian = np.column_stack([*by_turn, found.jac[: len(own)]])
+    return np.asarray(d), np.asarray(jacobian.T @ jacobian / variance)
+
+
+def _checked(
+    rotations: ArrayLike, centers: ArrayLike, moments: Sequence[PairMoments], rotation: ArrayLike, center: ArrayLike
+) -> tuple[FloatArray, FloatArray, list[PairMoments], FloatArray, FloatArray]:
+    """Q, o and moments of the cameras that have matches; R, g."""
+    Q = checked_rotations(rotations, len(moments))
+    R = checked_rotations(np.asarray(rotation, dtype=float)[None], 1)[0]
+    o, g = np.asarray(centers, dtype=float), np.asarray(center, dtype=float)
+    if o.shape != (len(Q), 3) or g.shape != (3,) or not (np.isfinite(o).all() and np.isfinite(g).all()):
+        raise ValueError(f"centers must be ({len(Q)}, 3) and center (3,), finite; got {o.shape} and {g.shape}")
+    seen = np.array([m.count > 0 for m in moments])
+    if not seen.any():
+        raise ValueError("no camera has matches")
+    behind = seen & (np.einsum("ci,ci->c", Q[:, 2], g - o) <= 0)
+    if behind.any():
+        raise ValueError(f"the object's centre is not in front of camera {int(np.argmax(behind))}")
+    return Q[seen], o[seen], [m for m, s in zip(moments, seen, strict=True) if s], R, g
+
+
+def _mean_rays(moments: Sequence[PairMoments]) -> tuple[FloatArray, FloatArray]:
+    """(C, 3) x̄ and ȳ with a third coordinate of 1."""
+    return np.array([[*m.mean_x, 1.0] for m in moments]), np.array([[*m.mean_y, 1.0] for m in moments])

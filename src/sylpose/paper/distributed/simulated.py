@@ -1,0 +1,315 @@
+"""The distributed estimators run in one process: cameras that exchange bytes over a network that may fail.
+
+    solve_exchange, solve_refine, solve_gossip    one call each, by default without any fault
+    run                                           any cameras' steps, over any network
+
+What one camera does is in `exchange`, `refine` and `gossip`; here is only what carries their packets, counts them and
+looks at the answers from outside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Generic, Literal, NamedTuple, Protocol, TypeVar, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from sylpose.moments import PairMoments
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.matrices import checked_rotations, kron
+from sylpose.paper.centralized import status_of
+from sylpose.paper.distributed.exchange import exchange_start, exchange_step
+from sylpose.paper.distributed.gossip import gossip_start, gossip_step
+from sylpose.paper.distributed.messages import HEADER, Inbox, Packet
+from sylpose.paper.distributed.refine import refine_start, refine_step
+from sylpose.paper.orthographic import quadratic_of, views_of
+from sylpose.paper.so3 import STATIONARY, derivatives, multiplier_of
+from sylpose.paper.so3_kernels import CERTIFICATE
+from sylpose.results import Status
+
+__all__ = ["Agreement", "Faults", "Nonsense", "run", "solve_exchange", "solve_gossip", "solve_refine"]
+
+Nonsense = Literal["nan", "huge", "long", "truncated", "false"]
+
+AGREED = 1e-7  # radians between the answers of cameras that agree
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What goes wrong.
+
+    Attributes:
+        loss: share of the packets that get lost, each link by itself.
+        delay: a packet is late by 0 to so many rounds, drawn for each; later ones may overtake it.
+        dies: camera -> round from which on it does nothing.
+        joins: camera -> round in which it starts.
+        nonsense: camera -> what comes of its packets: "nan" and "huge" values, "long" and "truncated" bytes, "false" values
+            that are well formed and mean nothing (another random rotation, say, in every round).
+        seed: of all that is drawn.
+
+    Raises:
+        ValueError: a share outside [0, 1), a negative delay, an unknown kind of nonsense.
+    """
+
+    loss: float = 0.0
+    delay: int = 0
+    dies: Mapping[int, int] = field(default_factory=dict)
+    joins: Mapping[int, int] = field(default_factory=dict)
+    nonsense: Mapping[int, Nonsense] = field(default_factory=dict)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.loss < 1 or self.delay < 0:
+            raise ValueError(f"loss must be in [0, 1) and delay not negative, got {self.loss} and {self.delay}")
+        unknown = set(self.nonsense.values()) - set(get_args(Nonsense))
+        if unknown:
+            raise ValueError(f"nonsense must be one of {', '.join(get_args(Nonsense))}, got {sorted(unknown)}")
+
+
+NO_FAULTS = Faults()
+
+
+class CameraState(Protocol):
+    """What the state of every scheme tells."""
+
+    @property
+    def rotation(self) -> FloatArray | None: ...
+    @property
+    def information(self) -> FloatArray | None: ...
+    @property
+    def used(self) -> tuple[int, ...]: ...
+    @property
+    def refused(self) -> dict[int, str]: ...
+    @property
+    def converged(self) -> bool: ...
+    @property
+    def done(self) -> bool: ...
+
+
+State = TypeVar("State", bound=CameraState)
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """What C cameras came to.
+
+    Attributes:
+        status: NOT_CONVERGED unless all live cameras that nobody refused converged to one rotation; then as that of the
+            centralised estimator: TURN_NOT_OBSERVABLE, NOT_CERTIFIED or OK.
+        rotation: (3, 3) the one they agree on, X_j = R X_i + t in the world frame: the first such camera's. NaN if none
+            converged.
+        information: (3, 3) as in `CentralizedSolution`, as that camera found it.
+        certified: the multiplier proves `rotation` the global optimum for the cameras in `used`. Checked from outside,
+            with everybody's moments: in `refine` no camera could.
+        rotations: (C, 3, 3) each camera's answer, NaN where it has none.
+        converged: (C,) as each camera says of itself.
+        spread: largest angle between `rotation` and that of another such camera, radians.
+        used: the cameras whose evidence is in `rotation`.
+        refused: camera -> why another one did not listen to it.
+        rounds: until the last camera was done.
+        sent, received: (C,) bytes; a packet to several cameras is sent once.
+    """
+
+    status: Status
+    rotation: FloatArray
+    information: FloatArray
+    certified: bool
+    rotations: FloatArray
+    converged: BoolArray
+    spread: float
+    used: tuple[int, ...]
+    refused: dict[int, str]
+    rounds: int
+    sent: IntArray
+    received: IntArray
+
+
+def solve_exchange(
+    rotations: ArrayLike,
+    moments: Sequence[PairMoments],
+    *,
+    aim: bool = True,
+    rounds: int = 1,
+    faults: Faults = NO_FAULTS,
+) -> Agreement:
+    """Every camera sends its moments to all, `rounds` times, and solves with what it heard.
+
+    Args:
+        rotations: (C, 3, 3) Q of camera_from_world.
+        moments: C pair moments.
+        aim: as in `solve_centralized`; cameras refuse moments of points more than 89 degrees off the axis then. Not aimed
+            the points may have any unit in which no moment exceeds 1e30: coordinates up to about 1e6.
+
+    Raises:
+        ValueError: as `solve_centralized`.
+    """
+    Q = _checked(rotations, moments, aim, faults)
+    starts = [lambda c=c: exchange_start(c, Q, moments[c], aim=aim, rounds=rounds) for c in range(len(Q))]
+    return _agreement(Q, moments, aim, run(starts, exchange_step, faults, rounds + 1))
+
+
+def solve_refine(
+    rotations: ArrayLike,
+    moments: Sequence[PairMoments],
+    *,
+    aim: bool = True,
+    bound: int = 500,
+    faults: Faults = NO_FAULTS,
+) -> Agreement:
+    """The paper's scheme: cameras send rotations, in up to `bound` rounds. Arguments and errors as `solve_exchange`.
+
+    It finds a minimum, not always the least one where there are several (collinear points, say): NOT_CERTIFIED then. Of
+    matches that mean nothing it may find none.
+    """
+    Q = _checked(rotations, moments, aim, faults)
+    everyone = range(len(Q))
+    starts = [lambda c=c: refine_start(c, everyone, Q[c], moments[c], aim=aim, bound=bound) for c in everyone]
+    return _agreement(Q, moments, aim, run(starts, refine_step, faults, bound + 1))
+
+
+def solve_gossip(
+    rotations: ArrayLike,
+    moments: Sequence[PairMoments],
+    *,
+    graph: Iterable[tuple[int, int]] | None = None,
+    aim: bool = True,
+    bound: int = 1000,
+    faults: Faults = NO_FAULTS,
+) -> Agreement:
+    """Average consensus of the evidence over a graph, in up to `bound` rounds.
+
+    Args:
+        graph: the pairs of cameras that hear each other; None for a ring in the order given.
+        rotations, moments, aim: as `solve_exchange`.
+
+    Raises:
+        ValueError: as `solve_exchange`; a graph that is not connected.
+    """
+    Q = _checked(rotations, moments, aim, faults)
+    n = len(Q)
+    pairs = [(c, (c + 1) % n) for c in range(n)][: n if n > 2 else n - 1] if graph is None else list(graph)
+    starts = [lambda c=c: gossip_start(c, n, pairs, Q[c], moments[c], aim=aim, bound=bound) for c in range(n)]
+    return _agreement(Q, moments, aim, run(starts, gossip_step, faults, bound + 1))
+
+
+class Outcome(NamedTuple, Generic[State]):
+    """Of `run`: the last state of each camera (None: never started) and whether it lived to the end, rounds, and
+    bytes sent and received by each."""
+
+    states: list[State | None]
+    alive: list[bool]
+    rounds: int
+    sent: IntArray
+    received: IntArray
+
+
+def run(
+    starts: Sequence[Callable[[], tuple[State, list[Packet]]]],
+    step: Callable[[State, Inbox], tuple[State, list[Packet]]],
+    faults: Faults,
+    bound: int,
+) -> Outcome[State]:
+    """Let cameras make steps, all once a round, until all that live are done; at most `bound` rounds after the last join."""
+    n = len(starts)
+    rng = np.random.default_rng(faults.seed)
+    states: list[State | None] = [None] * n
+    under_way: dict[int, list[tuple[int, int, bytes]]] = {}  # round of arrival -> (to, from, data)
+    sent, received = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    rounds = 0
+    for now in range(bound + max(faults.joins.values(), default=0) + 1):
+        inboxes: list[list[tuple[int, bytes]]] = [[] for _ in range(n)]
+        for to, sender, data in under_way.pop(now, []):
+            inboxes[to].append((sender, data))
+        active = False
+        for c in range(n):
+            state = states[c]
+            if now >= faults.dies.get(c, now + 1) or (state is not None and state.done):
+                continue
+            active = True
+            if now < faults.joins.get(c, 0):
+                continue
+            received[c] += sum(len(data) for _, data in inboxes[c])
+            states[c], packets = starts[c]() if state is None else step(state, inboxes[c])
+            for packet in packets:
+                data = packet.data if c not in faults.nonsense else _nonsense(faults.nonsense[c], packet.data, rng)
+                sent[c] += len(data)
+                for to in packet.to:
+                    if rng.random() >= faults.loss:
+                        late = int(rng.integers(faults.delay + 1))
+                        under_way.setdefault(now + 1 + late, []).append((to, c, data))
+        if not active:
+            break
+        rounds = now
+    return Outcome(states, [c not in faults.dies for c in range(n)], rounds, sent, received)
+
+
+def _checked(rotations: ArrayLike, moments: Sequence[PairMoments], aim: bool, faults: Faults) -> FloatArray:
+    """The rotations; all errors that the centralised estimator would raise."""
+    Q = checked_rotations(rotations, len(moments))
+    quadratic_of(views_of(Q, moments, aim=aim))
+    unknown = {*faults.dies, *faults.joins, *faults.nonsense} - set(range(len(Q)))
+    if unknown:
+        raise ValueError(f"faults of cameras {sorted(unknown)}: there are cameras 0 to {len(Q) - 1}")
+    return Q
+
+
+def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome: Outcome[State]) -> Agreement:
+    states = outcome.states
+    found = [None if s is None else s.rotation for s in states]
+    converged = np.array([s is not None and s.converged for s in states])
+    refused = {c: why for s in reversed(states) if s is not None for c, why in s.refused.items()}
+    judged = [c for c, alive in enumerate(outcome.alive) if alive and c not in refused]
+    good = [s for c in judged if (s := states[c]) is not None and s.converged]
+    rotation, information, certified, spread = np.full((3, 3), np.nan), np.zeros((3, 3)), False, np.inf
+    used = tuple(sorted({c for s in good for c in s.used}))
+    answers = [s.rotation for s in good if s.rotation is not None]
+    if good and good[0].rotation is not None and good[0].information is not None:
+        rotation, information = good[0].rotation, good[0].information
+        spread = max(float(Rotation.from_matrix(rotation.T @ other).magnitude()) for other in answers)
+        certified = _certified(Q[list(used)], [moments[c] for c in used], aim, rotation)
+    agreed = len(good) == len(judged) > 0 and spread < AGREED
+    return Agreement(
+        status=status_of(agreed, certified, information),
+        rotation=rotation,
+        information=information,
+        certified=certified,
+        rotations=np.array([np.full((3, 3), np.nan) if r is None else r for r in found]),
+        converged=converged,
+        spread=spread,
+        used=used,
+        refused=dict(sorted(refused.items())),
+        rounds=outcome.rounds,
+        sent=outcome.sent,
+        received=outcome.received,
+    )
+
+
+def _certified(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, rotation: FloatArray) -> bool:
+    """Whether a rotation is stationary for these cameras together, and K positive definite there (`paper.so3`)."""
+    q = quadratic_of(views_of(Q, moments, aim=aim))
+    gradient, _ = derivatives(q.H, q.h, rotation)
+    K = q.H + kron(multiplier_of(q.H, q.h, rotation), np.eye(3))
+    return bool(np.abs(gradient).max() < STATIONARY and np.linalg.eigvalsh(K)[0] > CERTIFICATE)
+
+
+def _nonsense(kind: Nonsense, data: bytes, rng: np.random.Generator) -> bytes:
+    """What comes of a message."""
+    if kind == "long":
+        return data + bytes(8)
+    if kind == "truncated":
+        return data[:-5]
+    header, values = data[: HEADER.size], np.frombuffer(data[HEADER.size :], "<f8").copy()
+    if kind == "nan":
+        values[0] = np.nan
+    elif kind == "huge":
+        values *= 1e200
+    elif len(values) == 45:
+        values = np.frombuffer(PairMoments.from_matches(*0.1 * rng.normal(size=(2, 60, 2))).to_bytes(), "<f8")
+    elif len(values) in (9, 18):
+        values[:9] = np.linalg.norm(values[:9]) / np.sqrt(3) * Rotation.random(rng=rng).as_matrix().ravel()
+    else:
+        values = np.linalg.norm(values) / np.sqrt(len(values)) * rng.normal(size=len(values))
+    return header + values.astype("<f8").tobytes()

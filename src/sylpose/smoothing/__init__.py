@@ -1,0 +1,1 @@
+"""All frames at once, afterwards."""

@@ -1,0 +1,327 @@
+"""Joint refinement of a whole trajectory: all poses, all landmarks and, if asked, how far apart in time the cameras are.
+
+Robust least squares on reprojection errors ("bundle adjustment") with static, calibrated cameras: a landmark X of the
+object is seen by camera c in frame k at project(Q_c (R_k X + t_k - o_c)). Levenberg-Marquardt with re-weighting; the
+landmarks are eliminated (Schur complement), which leaves six unknowns per frame.
+
+Source: B. Triggs, P. McLauchlan, R. Hartley, A. Fitzgibbon, "Bundle adjustment - a modern synthesis", 2000.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import helmert
+from scipy.sparse import block_array, coo_array, csr_array, eye_array, tril
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.results import Status
+from sylpose.rig import Rig
+from sylpose.smoothing.kernels import Sightings
+from sylpose.smoothing.problem import Problem, State
+
+__all__ = ["Bundled", "Observations", "bundle"]
+
+
+# The noise level follows the residuals until it changes by less than this, or for so many rounds; then it is held.
+SIGMA_SETTLED, SIGMA_ROUNDS = 0.05, 8
+# Weights follow the residuals until the step's square, in standard deviations and per frame, is less than this, or for so
+# many rounds; then they are held: each that is still about to change draws the rest on a little, in ever more rounds.
+WEIGHTS_SETTLED, WEIGHTS_ROUNDS = 0.02, 10
+# Converged when the step, all frames together, is a tenth of a standard deviation: what is left after it is much less.
+SETTLED = 0.1**2
+# Attempts per round to find a step that lowers the cost.
+MAX_TRIES = 8
+# Every pose is known to half a turn and to some of the object's radii around its start: what nothing ties stays there.
+WEAK_TURN, WEAK_RADII = np.pi, 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """n sights of landmarks.
+
+    Attributes:
+        frame, camera, landmark: (n,) which landmark is seen by which camera in which frame; any order.
+        image: (n, 2) normalised points.
+    """
+
+    frame: IntArray
+    camera: IntArray
+    landmark: IntArray
+    image: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+
+@dataclass(frozen=True, eq=False)
+class Bundled:
+    """A refined trajectory.
+
+    Attributes:
+        status: OK; NOT_CONVERGED within the bound of rounds; TOO_FEW_MATCHES when no frame is tied to a fixed one: then
+            the poses are those given.
+        world_from_object: N poses.
+        landmarks: (M, 3) object's frame; those seen less than twice are as given, or on their ray, or at the origin.
+        covariance: (N, 6, 6) of (w, d), docs/conventions.md, relative to the fixed frames, where it is zero.
+        tied: (N,) frames that landmarks tie to a fixed frame, directly or through others. Others keep about the poses
+            given, with a covariance as wide as the object's size and half a turn.
+        sigma_px: (C,) noise of each camera, pixels, of one coordinate; NaN for a camera without observations.
+        weights: (n,) in [0, 1], 0 for outliers and for landmarks seen less than twice.
+        residuals: (n,) pixels; 1e6 behind a camera.
+        offsets: (C,) seconds by which each camera is late, their mean 0; offsets_sd: (C,) their standard deviations, which
+            come near the prior's where the motion does not show them. Zeros when not asked for.
+        rounds: of Levenberg-Marquardt.
+        excess: (N,) by what the variances are larger than independent noise of sigma_px would have them, at least 1:
+            errors are alike along tracks, and where the calibration is off (`spread`).
+    """
+
+    status: Status
+    world_from_object: RigidTransform
+    landmarks: FloatArray
+    covariance: FloatArray
+    tied: BoolArray
+    sigma_px: FloatArray
+    weights: FloatArray
+    residuals: FloatArray
+    offsets: FloatArray
+    offsets_sd: FloatArray
+    rounds: int
+    excess: FloatArray
+
+
+def bundle(
+    rig: Rig,
+    seen: Observations,
+    world_from_object: RigidTransform,
+    radius: float,
+    *,
+    landmarks: ArrayLike | None = None,
+    fixed: ArrayLike | None = None,
+    information: ArrayLike | None = None,
+    times: ArrayLike | None = None,
+    offsets_sd: float | None = None,
+    max_rounds: int = 30,
+) -> Bundled:
+    """Refines poses and landmarks jointly, so that the landmarks project to where they are seen.
+
+    Args:
+        rig: C cameras.
+        seen: n observations; landmarks seen by several cameras or found again later tie more, but need not exist.
+        world_from_object: N poses, about right.
+        radius: of the object: its landmarks are at the origin of its frame give or take three times as much, a weak prior
+            that keeps those with little parallax in place.
+        landmarks: (M, 3) where to start, object's frame; None: where the rays meet.
+        fixed: (N,) frames whose poses stay, at least one; None: the first.
+        information: (N, 6, 6) of (w, d), what is known of the poses beside the observations: they were measured as given.
+        times: (N,) or (N, C) seconds: when each camera took each frame. The pose of a frame is that at the mean of its
+            times; each camera's own instant is reached along a parabola through neighbouring poses. Rising; None: 0, 1, ...
+        offsets_sd: seconds; if given, the cameras' time offsets are estimated, starting from zero plus or minus this.
+        max_rounds: bound.
+
+    Raises:
+        ValueError: shapes or indices that do not fit, values that are not finite, no fixed frame, times that do not rise.
+    """
+    n_frames, n_cameras = (1 if world_from_object.single else len(world_from_object)), len(rig)
+    if not (np.isfinite(radius) and radius > 0):
+        raise ValueError(f"radius: {radius} is not a positive length")
+    if offsets_sd is not None and not (np.isfinite(offsets_sd) and offsets_sd > 0):
+        raise ValueError(f"offsets_sd: {offsets_sd} is not a positive time")
+    stays = _stays(fixed, n_frames)
+    known = np.zeros((n_frames, 6, 6)) if information is None else _finite("information", information, (n_frames, 6, 6))
+    given = None if landmarks is None else _finite("landmarks", landmarks, (-1, 3))
+    n_landmarks = int(np.max(seen.landmark, initial=-1)) + 1 if given is None else len(given)
+    _check_observations(seen, n_frames, n_cameras, n_landmarks)
+    instants = np.arange(n_frames) if times is None else np.asarray(times, float)
+    instants = _finite("times", instants, (n_frames, n_cameras) if instants.ndim == 2 else (n_frames,))
+    instants = instants if instants.ndim == 2 else np.repeat(instants[:, None], n_cameras, axis=1)
+    moments = instants.mean(axis=1)
+    if (np.diff(moments) <= 0).any():
+        raise ValueError("times: must rise from frame to frame")
+
+    order, names, sightings = _sorted(seen, stays)
+    often = np.diff(sightings.start) >= 2
+    tied = _tied(sightings, often, stays | known.any(axis=(1, 2)))
+    turns, places = np.atleast_3d(world_from_object.rotation.as_matrix()), world_from_object.translation
+    turns, places = turns.reshape(-1, 3, 3), places.reshape(-1, 3)
+    free_cameras = np.unique(seen.camera) if offsets_sd is not None else np.empty(0, np.int64)
+    basis = np.zeros((n_cameras, max(len(free_cameras) - 1, 0)))
+    if len(free_cameras) > 1:
+        basis[free_cameras] = helmert(len(free_cameras)).T  # all that leaves the mean alone
+    weak = np.repeat([WEAK_TURN**-2, (WEAK_RADII * radius) ** -2], 3)
+    shifts = instants - moments[:, None]
+    problem = Problem(
+        sightings=sightings,
+        counted=np.repeat(often, np.diff(sightings.start)).astype(float),
+        pattern=_pattern(sightings, often),
+        start_turns=turns,
+        start_places=places,
+        prior=known + np.diag(weak),
+        radius=radius,
+        times=moments,
+        shifts=shifts,
+        timed=bool(np.abs(shifts).max() > 0) or basis.shape[1] > 0,
+        offsets_sd=1.0 if offsets_sd is None else offsets_sd,
+        basis=basis,
+        rotations=np.array([camera.rotation for camera in rig]),
+        centers=np.array([camera.center for camera in rig]),
+        focals=np.array([camera.focal for camera in rig]),
+    )
+    state = State(turns, places, np.zeros((len(names), 3)), np.zeros(n_cameras), np.zeros((n_frames, 2, 6)))
+    state = problem.with_motion(state)
+    state = replace(state, points=problem.where_rays_meet(state) if given is None else given[names])
+    if (tied & ~stays).any():
+        fit = _minimise(problem, state, max_rounds)
+    else:
+        unknown, e = np.zeros(len(seen)), problem.residuals(state)
+        sigma = problem.noise(e, unknown)
+        fit = _Fit(state, Status.TOO_FEW_MATCHES, 0, problem.weights(e, sigma), sigma, unknown)
+    state, summary = fit.state, problem.summary(fit.state, fit.weights, fit.sigma, fit.leverage)
+
+    points = np.zeros((n_landmarks, 3)) if given is None else given.copy()
+    points[names] = state.points
+    weights, distances = np.empty(len(seen)), np.empty(len(seen))
+    weights[order], distances[order] = fit.weights, summary.distances
+    asked = offsets_sd is not None
+    unused = np.setdiff1d(np.arange(n_cameras), seen.camera)
+    summary.sigma[unused] = np.nan
+    spread = np.sqrt(np.maximum(np.diag(summary.offsets_covariance), 0.0))
+    if asked:
+        spread[unused] = offsets_sd
+    return Bundled(
+        fit.status,
+        RigidTransform.from_components(state.places, Rotation.from_matrix(state.turns)),
+        points,
+        summary.covariance,
+        tied,
+        summary.sigma,
+        weights,
+        distances,
+        state.offsets,
+        spread,
+        fit.rounds,
+        summary.excess,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Where the search settled, with the weights (n,), the noise (C,) and the leverage (n,) it ended with."""
+
+    state: State
+    status: Status
+    rounds: int
+    weights: FloatArray
+    sigma: FloatArray
+    leverage: FloatArray
+
+
+def _minimise(problem: Problem, state: State, max_rounds: int) -> _Fit:
+    """Levenberg-Marquardt with re-weighting, from a state to where it settles."""
+    e = problem.residuals(state)
+    sigma = np.full(len(problem.focals), np.inf)
+    leverage = np.full(len(e), min(1.0, 3.0 * len(state.points) / max(len(e), 1)))
+    damping, settled, held = 0.0, False, None
+    for rounds in range(1, max_rounds + 1):
+        if not settled:
+            before, sigma = sigma, problem.noise(e, leverage)
+            state = problem.with_strays_back(state, e, sigma)
+            e = problem.residuals(state)
+            settled = bool(np.all(np.abs(sigma - before) < SIGMA_SETTLED * sigma)) or rounds >= SIGMA_ROUNDS
+        cost = problem.cost(e, sigma, state, held)
+        views = problem.views(state)
+        weights = problem.weights(e, sigma) if held is None else held
+        scaled = weights / sigma[problem.sightings.camera] ** 2
+        system = problem.system(state, views, scaled)
+        leverage = system.reduced.leverage
+        for _ in range(MAX_TRIES):
+            step, offsets, size = system.solve(damping)
+            trial = problem.moved(state, views, scaled, step, offsets)
+            e = problem.residuals(trial)
+            if problem.cost(e, sigma, trial, held) <= cost * (1.0 + 1e-12) or size < 1e-3 * SETTLED:
+                break
+            damping = max(30.0 * damping, 1e-5)
+        else:
+            return _Fit(state, Status.NOT_CONVERGED, rounds, weights, sigma, leverage)
+        damping = damping / 30.0 if damping > 1e-5 else 0.0
+        state = problem.with_motion(trial)
+        if problem.timed:
+            e = problem.residuals(state)
+        if settled and size < SETTLED:
+            return _Fit(state, Status.OK, rounds, weights, sigma, leverage)
+        if settled and held is None and (size < WEIGHTS_SETTLED * len(state.turns) or rounds >= WEIGHTS_ROUNDS):
+            held = problem.weights(e, sigma)
+    return _Fit(state, Status.NOT_CONVERGED, max_rounds, weights, sigma, leverage)
+
+
+def _finite(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    """The values as an array of that shape (-1: any) and of finite numbers."""
+    array = np.asarray(values, dtype=float)
+    if array.ndim != len(shape) or any(want not in (-1, got) for want, got in zip(shape, array.shape, strict=True)):
+        wanted = ", ".join("any" if n < 0 else str(n) for n in shape)
+        raise ValueError(f"{name}: shape {array.shape}, expected ({wanted})")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: has values that are not finite")
+    return array
+
+
+def _stays(fixed: ArrayLike | None, n_frames: int) -> BoolArray:
+    stays = np.arange(n_frames) == 0 if fixed is None else np.asarray(fixed, dtype=bool)
+    if stays.shape != (n_frames,):
+        raise ValueError(f"fixed: shape {stays.shape}, expected ({n_frames},), one per pose")
+    if not stays.any() or stays.all():
+        raise ValueError("fixed: at least one frame must stay and at least one move")
+    return stays
+
+
+def _check_observations(seen: Observations, n_frames: int, n_cameras: int, n_landmarks: int) -> None:
+    n = len(seen)
+    for name, index, size in (
+        ("frame", seen.frame, n_frames),
+        ("camera", seen.camera, n_cameras),
+        ("landmark", seen.landmark, n_landmarks),
+    ):
+        if np.shape(index) != (n,) or not np.issubdtype(np.asarray(index).dtype, np.integer):
+            raise ValueError(f"observations: {name} must be ({n},) integers")
+        if n and not (np.min(index) >= 0 and np.max(index) < size):
+            raise ValueError(f"observations: {name} must be from 0 to {size - 1}")
+    _finite("observations: image", seen.image, (n, 2))
+
+
+def _sorted(seen: Observations, stays: BoolArray) -> tuple[IntArray, IntArray, Sightings]:
+    """Order of the observations (n,), indices of the landmarks that are seen (m,), and the sightings."""
+    order = np.lexsort((seen.camera, seen.frame, seen.landmark))
+    names, counts = np.unique(seen.landmark, return_counts=True)
+    free = np.where(stays, -1, np.cumsum(~stays) - 1).astype(np.int64)
+    frame, camera = (np.asarray(index[order], np.int64) for index in (seen.frame, seen.camera))
+    start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return order, names, Sightings(start, frame, camera, np.ascontiguousarray(seen.image[order], dtype=float), free)
+
+
+def _incidence(sightings: Sightings, rows: IntArray, n_rows: int, often: BoolArray) -> csr_array:
+    """(n_rows, m) which rows see which landmarks, of those seen at least twice; rows (n,) of the observations, or -1."""
+    landmark = np.repeat(np.arange(len(often)), np.diff(sightings.start))
+    used = often[landmark] & (rows >= 0)
+    entries = (np.ones(int(used.sum())), (rows[used], landmark[used]))
+    return coo_array(entries, shape=(n_rows, len(often))).tocsr()
+
+
+def _pattern(sightings: Sightings, often: BoolArray) -> csr_array:
+    """(F, F) lower triangle of which moving frames share landmarks."""
+    n = int(sightings.free.max()) + 1
+    sees = _incidence(sightings, sightings.free[sightings.frame], n, often)
+    pattern = csr_array(tril(sees @ sees.T + eye_array(n), format="csr"))
+    pattern.sort_indices()
+    return pattern
+
+
+def _tied(sightings: Sightings, often: BoolArray, anchored: BoolArray) -> BoolArray:
+    """(N,) frames that landmarks connect to an anchored one."""
+    n = len(anchored)
+    sees = _incidence(sightings, sightings.frame, n, often)
+    _, part = connected_components(block_array([[None, sees], [sees.T, None]]), directed=False)
+    return np.asarray(np.isin(part[:n], part[:n][anchored]))

@@ -1,0 +1,297 @@
+"""What the joint refinement minimises: its unknowns, its robust cost, and how a step changes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
+
+from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.robust import robust_sigma
+from sylpose.smoothing.kernels import (
+    BEHIND_PX,
+    Reduced,
+    Sightings,
+    Views,
+    reduce,
+    residuals,
+    substitute,
+    where_rays_meet,
+)
+from sylpose.smoothing.spread import excess_variance
+from sylpose.smoothing.system import System
+
+__all__ = ["Problem", "State", "Summary"]
+
+
+# Weights (1 - (r / (CUTOFF sigma))^4)^2 of an observation at the distance r: nearly 1 up to two sigma, 0 beyond five.
+CUTOFF = 5.0
+# For Gaussian noise in two coordinates: the mean weighted square relative to the mean weight.
+KEPT_SQUARE = 0.95155
+SIGMA_FLOOR_PX = 0.1
+# Degrees of freedom from which a camera's own noise level counts as much as that of all cameras together.
+OWN_FREEDOM = 20.0
+# Landmarks are about the origin give or take so many of the object's radii. While the state is refined this keeps those
+# with little parallax in place; for the covariance it is nearly left out: linearised, a sphere's prior of many landmarks
+# seems to know which way the object is turned.
+PRIOR_RADII, PRIOR_RADII_COVARIANCE = 3.0, 300.0
+# A median is taken of about so many observations.
+MEDIAN_OF = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What is refined: turns (N, 3, 3), places (N, 3), points (m, 3), offsets (C,); motion (N, 2, 6), the poses' first and
+    second derivatives by time, follows from neighbouring poses and is held while a step is made."""
+
+    turns: FloatArray
+    places: FloatArray
+    points: FloatArray
+    offsets: FloatArray
+    motion: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """sigma (C,) pixels, distances (n,) pixels, covariance (N, 6, 6), offsets_covariance (C, C), excess (N,)."""
+
+    sigma: FloatArray
+    distances: FloatArray
+    covariance: FloatArray
+    offsets_covariance: FloatArray
+    excess: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What stays while the state is refined.
+
+    Attributes:
+        sightings: n observations of m landmarks; counted: (n,) 1, or 0 for landmarks seen once.
+        pattern: (F, F) pattern of the frames that move, lower triangle.
+        prior: (N, 6, 6) of (w, d), information about the poses start_turns (N, 3, 3), start_places (N, 3).
+        radius: of the landmarks' prior.
+        times: (N,) of the frames; shifts: (N, C) from there to each camera's instant; timed: whether any is not zero, or
+            unknown.
+        offsets_sd: prior of the cameras' offsets, seconds; basis: (C, k) the directions in which they are free.
+        rotations (C, 3, 3), centers (C, 3), focals (C,): of the cameras.
+    """
+
+    sightings: Sightings
+    counted: FloatArray
+    pattern: csr_array
+    start_turns: FloatArray
+    start_places: FloatArray
+    prior: FloatArray
+    radius: float
+    times: FloatArray
+    shifts: FloatArray
+    timed: bool
+    offsets_sd: float
+    basis: FloatArray
+    rotations: FloatArray
+    centers: FloatArray
+    focals: FloatArray
+
+    @property
+    def pull(self) -> float:
+        """Information, per coordinate, that a landmark is at the origin."""
+        return (PRIOR_RADII * self.radius) ** -2
+
+    def views(self, state: State) -> Views:
+        """The frames as each camera sees them at its own instant."""
+        n, c = self.shifts.shape
+        carried = np.broadcast_to(self.rotations, (n, c, 3, 3))
+        place = state.places[:, None] - self.centers
+        speed = np.zeros((n, c, 6))
+        if self.timed:
+            s = (self.shifts + state.offsets)[..., None]
+            first, second = state.motion[:, None, 0], state.motion[:, None, 1]
+            moved, speed = s * first + 0.5 * s**2 * second, first + s * second
+            turn = Rotation.from_rotvec(moved[..., :3].reshape(-1, 3)).as_matrix().reshape(n, c, 3, 3)
+            carried, place = carried @ turn, place + moved[..., 3:]
+        place, spin, drift = (
+            np.einsum("cij,ncj->nci", self.rotations, v) for v in (place, speed[..., :3], speed[..., 3:])
+        )
+        return Views(state.turns, np.ascontiguousarray(carried), place, spin, drift, self.rotations, self.focals)
+
+    def residuals(self, state: State) -> FloatArray:
+        """(n, 2) pixels."""
+        out = np.empty((len(self.sightings.frame), 2))
+        residuals(self.sightings, self.views(state), state.points, out)
+        return out
+
+    def where_rays_meet(self, state: State) -> FloatArray:
+        """(m, 3) the points nearest to their rays and, weakly, to the object's centre, at the state's poses."""
+        out = np.empty_like(state.points)
+        where_rays_meet(self.sightings, self.views(state), self.pull, out)
+        return out
+
+    def with_strays_back(self, state: State, e: FloatArray, sigma: FloatArray) -> State:
+        """Landmarks that fewer than two observations support start again where their rays meet, at the poses of now."""
+        if len(e) == 0:
+            return state
+        support = np.add.reduceat((self.weights(e, sigma) > 0).astype(float), self.sightings.start[:-1])
+        stray = (support < 2) & (self.counted[self.sightings.start[:-1]] > 0)
+        if not stray.any():
+            return state
+        points = np.where(stray[:, None], self.where_rays_meet(state), state.points)
+        return replace(state, points=points)
+
+    def weights(self, e: FloatArray, sigma: FloatArray) -> FloatArray:
+        """(n,) robust weights of residuals (n, 2)."""
+        square, top = np.einsum("ni,ni->n", e, e), (CUTOFF * sigma[self.sightings.camera]) ** 2
+        inside = (square < top) & (square < BEHIND_PX**2)
+        return self.counted * np.where(inside, (1.0 - (np.minimum(square, top) / top) ** 2) ** 2, 0.0)
+
+    def cost(self, e: FloatArray, sigma: FloatArray, state: State, held: FloatArray | None) -> float:
+        """Half the squares in standard deviations, with weights (n,) that are held, or else saturating for outliers; and
+        the same of what is believed."""
+        q = np.einsum("ni,ni->n", e, e) / (CUTOFF * sigma[self.sightings.camera]) ** 2
+        if held is None:
+            q = np.minimum(q, 1.0)
+            total = 0.5 * CUTOFF**2 * float(self.counted @ (q - 2.0 / 3.0 * q**3 + 0.2 * q**5))
+        else:
+            total = 0.5 * CUTOFF**2 * float(held @ q)
+        change = self._change(state)
+        total += 0.5 * float(np.einsum("ni,nij,nj->", change, self.prior, change))
+        total += 0.5 * self.pull * float((state.points**2).sum())
+        return total + 0.5 * float((state.offsets**2).sum()) / self.offsets_sd**2
+
+    def noise(self, e: FloatArray, leverage: FloatArray) -> FloatArray:
+        """(C,) noise of each camera, pixels: from the weighted squares of the bulk, which the median tells.
+
+        Residuals are smaller than the noise by what the unknowns use up; a camera with few observations is taken to be
+        like all together.
+        """
+        n, camera, used = len(self.focals), self.sightings.camera, self.counted > 0
+        poses = 6.0 * self.pattern.shape[0]
+        own = 2.0 - leverage - min(poses / max(float(self.counted.sum()), 1.0), 0.5)
+        coordinates = e / np.sqrt(np.maximum(own, 0.2) / 2.0)[:, None]
+        pooled = robust_sigma(_some(coordinates[used]), SIGMA_FLOOR_PX)
+        of_camera = [coordinates[used & (camera == c)] for c in range(n)]
+        bulk = [robust_sigma(_some(x), SIGMA_FLOOR_PX) if len(x) > OWN_FREEDOM else pooled for x in of_camera]
+        return self.refined_noise(e, self.weights(e, np.array(bulk)), leverage)
+
+    def refined_noise(self, e: FloatArray, weights: FloatArray, leverage: FloatArray) -> FloatArray:
+        """(C,) noise of each camera, pixels, from the residuals and their weights."""
+        n, camera = len(self.focals), self.sightings.camera
+        poses = 6.0 * self.pattern.shape[0]
+        own = 2.0 - leverage - min(poses / max(float(weights.sum()), 1.0), 0.5)
+        squares = np.bincount(camera, weights * np.einsum("ni,ni->n", e, e) / KEPT_SQUARE, minlength=n)
+        freedom = np.bincount(camera, weights * np.maximum(own, 0.0), minlength=n)
+        pooled = squares.sum() / max(freedom.sum(), 1e-9)
+        variance = (squares + OWN_FREEDOM * pooled) / (freedom + OWN_FREEDOM)
+        return np.asarray(np.sqrt(np.maximum(variance, SIGMA_FLOOR_PX**2)))
+
+    def summary(self, state: State, weights: FloatArray, sigma: FloatArray, leverage: FloatArray) -> Summary:
+        """What a state says; with the weights (n,), noise (C,) and leverage (n,) that led to it."""
+        e = self.residuals(state)
+        sigma = self.refined_noise(e, weights, leverage)
+        views, pull = self.views(state), (PRIOR_RADII_COVARIANCE * self.radius) ** -2
+        scaled = weights / sigma[self.sightings.camera] ** 2
+        system = self.system(state, views, scaled, pull)
+        factor = system.factor(0.0)
+        covariance, offsets = system.covariance(factor)
+        moving = self.sightings.free >= 0
+        excess = np.ones(len(moving))
+        excess[moving] = excess_variance(
+            self.sightings, views, state.points, scaled, pull, system, factor, covariance[moving]
+        )
+        # Of what the observations tell, not of what is believed.
+        told = np.linalg.inv(covariance[moving]) - self.prior[moving]
+        covariance[moving] = np.linalg.inv(told / excess[moving, None, None] + self.prior[moving])
+        offsets = self._offsets_covariance(offsets, float(np.median(excess[moving])))
+        return Summary(sigma, np.linalg.norm(e, axis=1), covariance, offsets, excess)
+
+    def _offsets_covariance(self, covariance: FloatArray, excess: float) -> FloatArray:
+        """(C, C) without the information that is only noise, the rest with its excess of variance.
+
+        Speeds are differences of estimated poses, and their noise looks like a motion that is not uniform. A frame's six
+        unknowns are its cameras' information's inverse: so, whatever the noise, each of C cameras seems to learn
+        6 / C (1 - 1 / C) times the variance of a difference of two poses, per frame.
+        """
+        if not self.basis.shape[1]:
+            return covariance
+        gap, share = np.gradient(self.times), 1.0 / (self.basis.shape[1] + 1)
+        noise = 0.5 / gap**2
+        noise[[0, -1]] *= 13.0  # at the ends, of three poses from one side
+        prior = np.eye(self.basis.shape[1]) / self.offsets_sd**2
+        seeming = prior + 6.0 * share * (1.0 - share) * noise.sum() * np.eye(len(prior))
+        values, vectors = np.linalg.eigh(np.linalg.inv(self.basis.T @ covariance @ self.basis) - seeming)
+        small = np.linalg.inv(vectors @ np.diag(np.maximum(values / excess, 0.0)) @ vectors.T + prior)
+        return np.asarray(self.basis @ small @ self.basis.T)
+
+    def system(self, state: State, views: Views, weights: FloatArray, pull: float | None = None) -> System:
+        """The reduced system at a state, weights in 1/pixels²."""
+        f, t = self.pattern.shape[0], self.basis.shape[0] if self.basis.shape[1] else 0
+        shapes = ((self.pattern.nnz, 6, 6), (f, 6), (f, 6, t), (t, t), (t,), (len(self.sightings.frame),))
+        indptr, columns = (a.astype(np.int64) for a in (self.pattern.indptr, self.pattern.indices))
+        out = Reduced(indptr, columns, *(np.zeros(shape) for shape in shapes))
+        reduce(self.sightings, views, state.points, weights, self.pull if pull is None else pull, out)
+        moving = self.sightings.free >= 0
+        change = self._change(state)[moving]
+        slope = np.zeros((f, 6, 6))
+        slope[:, :3, :3], slope[:, 3:, 3:] = _log_slope(change[:, :3]), np.eye(3)
+        pulled = slope.transpose(0, 2, 1) @ self.prior[moving]
+        out.blocks[indptr[1:] - 1] += pulled @ slope
+        out.gradient[:] += np.einsum("nij,nj->ni", pulled, change)
+        if t:
+            out.corner[:] += np.eye(t) / self.offsets_sd**2
+            out.slope[:] += state.offsets / self.offsets_sd**2
+        return System(out, self.sightings.free, self.basis)
+
+    def moved(self, state: State, views: Views, weights: FloatArray, step: FloatArray, offsets: FloatArray) -> State:
+        """The state after a step of the frames and offsets, and the landmarks' that belongs to it."""
+        points = np.empty_like(state.points)
+        substitute(self.sightings, views, state.points, weights, self.pull, step, offsets, points)
+        turns = Rotation.from_rotvec(step[:, :3]).as_matrix() @ state.turns
+        return State(turns, state.places + step[:, 3:], points, state.offsets + offsets, state.motion)
+
+    def with_motion(self, state: State) -> State:
+        """The state with the derivatives by time of its own poses."""
+        if not self.timed:
+            return state
+        return replace(state, motion=_motion(state.turns, state.places, self.times))
+
+    def _change(self, state: State) -> FloatArray:
+        """(N, 6) of (w, d) since the start."""
+        turn = Rotation.from_matrix(state.turns @ self.start_turns.transpose(0, 2, 1)).as_rotvec()
+        return np.hstack([turn, state.places - self.start_places])
+
+
+def _some(values: FloatArray) -> FloatArray:
+    """Evenly some of the values: enough for a median."""
+    return values[:: max(1, len(values) // MEDIAN_OF)]
+
+
+def _log_slope(w: FloatArray) -> FloatArray:
+    """(n, 3, 3) the derivative of log(exp(v) exp(w)) by v at 0: the inverse left Jacobian of SO(3)."""
+    angle = np.linalg.norm(w, axis=1)
+    small = angle < 1e-4
+    a = np.where(small, 1.0, angle)
+    factor = np.where(small, 1.0 / 12.0, (1.0 - 0.5 * a / np.tan(0.5 * a)) / a**2)
+    cross = np.cross(w[:, None, :], np.eye(3)).transpose(0, 2, 1)
+    return np.asarray(np.eye(3) - 0.5 * cross + factor[:, None, None] * (cross @ cross))
+
+
+def _motion(turns: FloatArray, places: FloatArray, times: FloatArray) -> FloatArray:
+    """(N, 2, 6) first and second derivatives of the poses by time, from parabolas through three neighbours."""
+    out = np.zeros((len(times), 2, 6))
+    if len(times) < 2:
+        return out
+    gap = np.diff(times)[:, None]
+    turn = Rotation.from_matrix(turns[1:] @ turns[:-1].transpose(0, 2, 1)).as_rotvec()
+    speed = np.hstack([turn, np.diff(places, axis=0)]) / gap
+    if len(times) == 2:
+        out[:, 0] = speed
+        return out
+    before, after = gap[:-1], gap[1:]
+    out[1:-1, 0] = (after * speed[:-1] + before * speed[1:]) / (before + after)
+    out[1:-1, 1] = 2.0 * (speed[1:] - speed[:-1]) / (before + after)
+    out[0, 1], out[-1, 1] = out[1, 1], out[-2, 1]
+    out[0, 0] = out[1, 0] - gap[0] * out[1, 1]
+    out[-1, 0] = out[-2, 0] + gap[-1] * out[-2, 1]
+    return out

@@ -1,0 +1,86 @@
+"""How much further than independent noise the parts of the evidence lie apart.
+
+Errors are alike along a landmark's track, among neighbouring landmarks and, where the calibration is off, in all that one
+camera sees. Least squares takes them for independent, and so trusts their mean too much. What groups of observations ask
+for, each for itself, tells how alike they are: with independent noise, the parts x_g = A^-1 s_g of the step, s_g the
+gradient of group g, have sum_g E[x_g x_g'] = A^-1 - sum_g A^-1 A_g A^-1 A_g A^-1, A_g its information; of this, what
+concerns one frame is compared, and the second term is taken from the frames' own blocks of A and A_g.
+
+Source: H. White, "Maximum likelihood estimation of misspecified models", 1982 (the sandwich), for groups: K.-Y. Liang,
+S. L. Zeger, "Longitudinal data analysis using generalized linear models", 1986.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from sylpose.numerics.arrays import FloatArray
+from sylpose.smoothing.kernels import Sightings, Views, scores
+from sylpose.smoothing.system import Factor, System
+
+__all__ = ["excess_variance"]
+
+
+# Frames that a frame's figure is the median of.
+AMONG = 11
+# Fewer degrees of freedom per frame than this among the groups say nothing.
+LEAST_FREEDOM = 1.0
+
+
+def excess_variance(
+    seen: Sightings,
+    views: Views,
+    points: FloatArray,
+    weights: FloatArray,
+    prior: float,
+    system: System,
+    factor: Factor,
+    covariance: FloatArray,
+) -> FloatArray:
+    """(F,) by what each frame's variance is larger than the system of equations says, at least 1.
+
+    It is larger the further from the fixed frames: what is alike in neighbouring frames adds up on the way.
+
+    Regions of the object, an eighth of it as seen by one camera, disagree where errors are alike along tracks and among
+    neighbours; cameras disagree where the calibration is off as well. There are few cameras, so neither is a precise
+    figure: their excesses are added, which is on the safe side.
+
+    Args: seen to prior as of the system at the optimum; factor: of the system, undamped; covariance: (F, 6, 6) its frames'.
+    """
+    moving = system.free[seen.frame] >= 0
+    if not (moving & (weights > 0)).any():
+        return np.ones(len(covariance))
+    landmark = np.repeat(np.arange(len(points)), np.diff(seen.start))
+    octant = (points > np.median(points, axis=0)) @ np.array([1, 2, 4])
+    frames, cameras = len(covariance), len(system.basis)
+    excess = np.zeros(frames)
+    for group in (8 * seen.camera + octant[landmark], seen.camera):
+        names, group = np.unique(group, return_inverse=True)
+        by_pose, by_offset = np.zeros((frames, len(names), 6)), np.zeros((len(names), cameras))
+        shares = np.zeros((frames, len(names), 6, 6))
+        scores(seen, views, points, weights, prior, group, by_pose, by_offset, shares)
+        ratio = _ratio(by_pose, by_offset, shares, system, factor, covariance)
+        excess += np.maximum(median_filter(ratio, AMONG, mode="nearest") - 1.0, 0.0)
+    return 1.0 + excess
+
+
+def _ratio(
+    by_pose: FloatArray,
+    by_offset: FloatArray,
+    shares: FloatArray,
+    system: System,
+    factor: Factor,
+    covariance: FloatArray,
+) -> FloatArray:
+    """(F,) scatter of the groups' parts, relative to that of independent noise; the first three as `scores` gives them."""
+    frames, groups, _ = by_pose.shape
+    right = np.ascontiguousarray(by_pose.transpose(0, 2, 1)).reshape(6 * frames, groups)
+    slope = by_offset.T if system.basis.shape[1] else np.zeros((0, groups))
+    parts = system.answer(right, slope, factor)[0].reshape(frames, 6, groups)
+    found = np.einsum("kig,kig->k", parts, np.linalg.solve(covariance, parts))
+    own = np.linalg.solve(system.frame_blocks()[:, None], shares)
+    expected = 6.0 - np.einsum("kgij,kgji->k", own, own)
+    ratio = np.ones(frames)
+    np.divide(found, expected, out=ratio, where=expected > LEAST_FREEDOM)
+    return ratio

@@ -1,0 +1,188 @@
+"""A trajectory refined as a whole: all poses and all landmarks together, by what was seen in all frames.
+
+The tracker knows the past only; this knows the future too. It uses the tracks of the landmarks and not the stored moments:
+a landmark that is seen in many frames ties them all, with a depth that all of them have a share in, where moments of two
+frames leave each depth open (docs/benchmarks.md, "Smoothing", has the figures).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import RigidTransform, Rotation, RotationSpline
+
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.results import FramePose, Status
+from sylpose.rig import Rig
+from sylpose.smoothing.bundle import Bundled, Observations, bundle
+from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
+
+__all__ = ["Smoothed", "Track", "smooth"]
+
+
+# Landmarks seen less often than this tell next to nothing of the motion, and that with a bias: features that slide along
+# an edge or were confused are lost soon. They are used, the longer ones first, by frames with less than so many sights.
+OFTEN, ENOUGH = (8, 5, 2), 100
+# Measured poses on each side of a gap that the curve through it goes by.
+AROUND = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What smoothing keeps of a tracked frame: no images.
+
+    Attributes:
+        pose: as tracked.
+        sightings: per camera.
+        late: (C,) seconds.
+        radius: of the object.
+    """
+
+    pose: FramePose
+    sightings: tuple[Sightings, ...]
+    late: FloatArray
+    radius: float
+
+    @classmethod
+    def of(cls, tracked: TrackedFrame) -> Track:
+        """Of a frame that the tracker has yielded."""
+        return cls(tracked.pose, tracked.sightings, tracked.late, tracked.radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """A refined trajectory.
+
+    Attributes:
+        poses: of all frames; those that nothing ties to the first are as they were. Coasting ones go between what was
+            measured before and after them, or, where one of it is missing, are carried along with what was before.
+        status: OK; NOT_CONVERGED; TOO_FEW_MATCHES when there was nothing to refine: then the poses are as they were.
+        offsets: (C,) seconds by which each camera is late, their mean 0, and offsets_sd: (C,) their standard deviations;
+            zeros when not asked for.
+        sigma_px: (C,) noise of each camera, pixels.
+        rounds: of the solver.
+    """
+
+    poses: tuple[FramePose, ...]
+    status: Status
+    offsets: FloatArray
+    offsets_sd: FloatArray
+    sigma_px: FloatArray
+    rounds: int
+
+
+def smooth(frames: Sequence[Track], rig: Rig, *, offsets_sd: float | None = None) -> Smoothed:
+    """Refines the poses of all frames together; the first one's stays.
+
+    Args:
+        frames: in order of time, all that the tracker gave.
+        rig: the tracker's.
+        offsets_sd: seconds; if given, how far apart in time the cameras are is estimated too, within about this.
+    """
+    nothing = np.zeros(len(rig))
+    used = [k for k, frame in enumerate(frames) if frame.pose.measured and len(frame.sightings)]
+    poses = [frame.pose for frame in frames]
+    if len(used) < 2:
+        return Smoothed(tuple(poses), Status.TOO_FEW_MATCHES, nothing, nothing, np.full(len(rig), np.nan), 0)
+    seen, places = _observations([frames[k] for k in used])
+    late = np.array([frames[k].late for k in used])
+    bundled = bundle(
+        rig,
+        seen,
+        _stacked([frames[k].pose for k in used]),
+        frames[used[-1]].radius,
+        landmarks=places,
+        times=np.array([frames[k].pose.time for k in used])[:, None] + late,
+        offsets_sd=offsets_sd,
+    )
+    if bundled.status is not Status.TOO_FEW_MATCHES:
+        counts, residuals = _per_camera(bundled, seen, len(used), len(rig))
+        refined = np.zeros(len(frames), bool)
+        refined[[k for i, k in enumerate(used) if bundled.tied[i]]] = True
+        for i, k in enumerate(used[1:], start=1):
+            if bundled.tied[i]:
+                poses[k] = replace(
+                    poses[k],
+                    world_from_object=bundled.world_from_object[i],
+                    covariance=bundled.covariance[i],
+                    inliers=counts[i],
+                    residuals=residuals[i],
+                )
+        poses = _with_gaps_filled(poses, [frame.pose for frame in frames], refined)
+    return Smoothed(tuple(poses), bundled.status, bundled.offsets, bundled.offsets_sd, bundled.sigma_px, bundled.rounds)
+
+
+def _stacked(poses: Sequence[FramePose]) -> RigidTransform:
+    transforms = [pose.world_from_object for pose in poses if pose.world_from_object is not None]
+    return RigidTransform.from_components(
+        np.array([t.translation for t in transforms]),
+        Rotation.from_quat(np.array([t.rotation.as_quat() for t in transforms])),
+    )
+
+
+def _observations(frames: Sequence[Track]) -> tuple[Observations, FloatArray]:
+    """Sights of the landmarks worth using, numbered from 0, and where each landmark was last thought to be."""
+    counts = [[len(s.landmark) for s in f.sightings] for f in frames]
+    cameras = np.concatenate([np.repeat(np.arange(len(n)), n) for n in counts])
+    frame = np.repeat(np.arange(len(frames)), [sum(n) for n in counts])
+    every = [s for f in frames for s in f.sightings]
+    _, landmark = np.unique(np.concatenate([s.landmark for s in every]), return_inverse=True)
+    used = _worth_using(frame, landmark)
+    _, names = np.unique(landmark[used], return_inverse=True)
+    places = np.zeros((int(names.max(initial=-1)) + 1, 3))
+    places[names] = np.concatenate([s.place for s in every])[used]  # the last one counts
+    image = np.concatenate([s.normalized for s in every])[used]
+    return Observations(frame[used], cameras[used], names, image), places
+
+
+def _worth_using(frame: IntArray, landmark: IntArray) -> BoolArray:
+    """(n,) which sights to use: those of landmarks seen often; where that leaves a frame few, of ones seen less often."""
+    sights, used = np.bincount(landmark)[landmark], np.zeros(len(frame), bool)
+    for least in OFTEN:
+        poor = np.bincount(frame, used) < ENOUGH
+        used |= (sights >= least) & (np.bincount(landmark, poor[frame])[landmark] > 0)
+    return used
+
+
+def _per_camera(bundled: Bundled, seen: Observations, n: int, cameras: int) -> tuple[IntArray, FloatArray]:
+    """(n, C) numbers of inliers and their rms residuals in pixels, NaN without any."""
+    good = bundled.weights > 0
+    cell = (seen.frame * cameras + seen.camera)[good]
+    counts = np.bincount(cell, minlength=n * cameras)
+    squares = np.bincount(cell, bundled.residuals[good] ** 2, minlength=n * cameras)
+    rms = np.sqrt(np.divide(squares, counts, out=np.full(n * cameras, np.nan), where=counts > 0))
+    return counts.reshape(n, cameras).astype(np.int64), rms.reshape(n, cameras)
+
+
+def _with_gaps_filled(poses: Sequence[FramePose], before: Sequence[FramePose], refined: BoolArray) -> list[FramePose]:
+    """Coasting poses between two refined ones, with none lost between, go along a curve through what was measured around
+    them; others keep their place relative to the last measured pose, before -> now."""
+    out = list(poses)
+    measured = [k for k, pose in enumerate(before) if pose.measured]
+    for i, k in enumerate(measured):
+        end = measured[i + 1] if i + 1 < len(measured) else len(before)
+        gap = [g for g in range(k + 1, end) if before[g].world_from_object is not None]
+        if end < len(before) and refined[k] and refined[end] and 0 < len(gap) == end - k - 1:
+            around = [m for m in measured[max(0, i + 1 - AROUND) : i + 1 + AROUND] if refined[m]]
+            for g, pose in zip(gap, _between([poses[m] for m in around], [before[g].time for g in gap]), strict=True):
+                near, far = (k, g - k) if g - k <= end - g else (end, end - g)
+                # As uncertain as the nearer end, and what as many frames of coasting made of it.
+                spread = poses[near].covariance + before[k + far].covariance
+                out[g] = replace(before[g], world_from_object=pose, covariance=spread)
+            continue
+        old, new = before[k].world_from_object, poses[k].world_from_object
+        for g in gap:
+            there = before[g].world_from_object
+            if old is not None and new is not None and there is not None:
+                out[g] = replace(before[g], world_from_object=new * old.inv() * there)
+    return out
+
+
+def _between(known: Sequence[FramePose], times: Sequence[float]) -> RigidTransform:
+    """Poses at times (n,), on cubic splines through known ones."""
+    stacked, when = _stacked(known), np.array([pose.time for pose in known])
+    places = CubicSpline(when, stacked.translation)(times)
+    return RigidTransform.from_components(places, RotationSpline(when, stacked.rotation)(times))

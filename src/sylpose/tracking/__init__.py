@@ -1,0 +1,1 @@
+"""The object's pose in every frame, as the frames come."""

@@ -1,0 +1,129 @@
+"""How an object goes on from the last frame: at constant velocity, as well as it has kept to that so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.numerics.arrays import FloatArray
+from sylpose.rig import Rig
+from sylpose.two_frames.fit import Fit
+
+__all__ = ["Velocity"]
+
+
+# The weight of constant velocity beside a frame's matches: its standard deviation is this many times the usual change of
+# velocity. It counts once so many frames in a row were solved.
+SPREAD, STEADY_FRAMES = 5.0, 5
+# Chi-squared of six that chance exceeds once in a thousand times.
+SURPRISING = 22.5
+# The usual change is a mean over about so many frames.
+MEMORY = 5
+# A velocity is not taken from an interval shorter than this share of the usual one.
+SHORT = 0.2
+
+
+@dataclass(eq=False)
+class Velocity:
+    """The last motion, and how much the motion changes from frame to frame.
+
+    Attributes:
+        twist: (6,) exponential coordinates per second, rotation first, in the world.
+        unsteady: (6,) mean square of the changes of the turn and of the centre's velocity, per second.
+        frames: solved in a row.
+        interval: the usual one between them, seconds.
+    """
+
+    twist: FloatArray = field(default_factory=lambda: np.zeros(6))
+    unsteady: FloatArray = field(default_factory=lambda: np.zeros(6))
+    frames: int = 0
+    interval: float = 0.0
+
+    def motion(self, elapsed: float) -> RigidTransform:
+        """What it gives for some seconds."""
+        return RigidTransform.from_exp_coords(self.twist * elapsed)
+
+    def learn(self, motion: RigidTransform, center: FloatArray, elapsed: float) -> None:
+        """Takes in the motion (of which the centre (3,) is at its start) of the next frame."""
+        # Of two frames at nearly the same time, the difference of the poses is mostly their errors.
+        if self.frames and elapsed < SHORT * self.interval:
+            return
+        elapsed = max(elapsed, 1e-9)
+        self.interval = elapsed if not self.frames else self.interval + (elapsed - self.interval) / MEMORY
+        # The first motion is a change by itself.
+        if self.frames:
+            change = self._surprise(motion.rotation, motion.apply(center) - center, center, elapsed) / elapsed
+            self.unsteady = self.unsteady + (change**2 - self.unsteady) / min(self.frames, MEMORY)
+        self.twist = motion.as_exp_coords() / elapsed
+        self.frames += 1
+
+    def forget(self, *, stands: bool) -> None:
+        """After frames that were not solved: the usual change stays, the velocity too unless it `stands`."""
+        self.frames = 0
+        if stands:
+            self.twist = np.zeros(6)
+
+    def spread(self, elapsed: float, missed: int) -> FloatArray:
+        """(6, 6) covariance of (w, d) of its motion after some seconds, in which so many frames were missed; infinite while
+        nothing is known of it."""
+        if not self.unsteady.any():  # two motions have not been seen yet
+            return np.full((6, 6), np.inf)
+        return np.asarray(np.diag(self.unsteady) * missed * elapsed**2)
+
+    def added_to(self, fit: Fit, center: FloatArray, elapsed: float) -> Fit:
+        """A fit of the motion since the last frame, with what constant velocity says as one more measurement.
+
+        It is a weak one, and matters where the matches say little: when all but a corner of the object is hidden. Where they
+        contradict it, the object has started, stopped or turned round.
+        """
+        if self.frames < STEADY_FRAMES:
+            return fit
+        error = self._surprise(Rotation.from_matrix(fit.rotation), fit.shift, center, elapsed)
+        sd = np.maximum(SPREAD * elapsed * np.sqrt(_by_parts(self.unsteady)), 1e-12)
+        prediction, information = np.diag(sd**-2), fit.information + np.diag(sd**-2)
+        # error' (covariance of the fit + diag(sd²))^-1 error, without inverting what the matches may not have seen.
+        weighted = prediction @ error
+        if weighted @ error - weighted @ np.linalg.solve(information, weighted) > SURPRISING:
+            return fit
+        step = -np.linalg.solve(information, prediction @ error)
+        rotation = (Rotation.from_rotvec(step[:3]) * Rotation.from_matrix(fit.rotation)).as_matrix()
+        return replace(fit, rotation=rotation, shift=fit.shift + step[3:], information=information)
+
+    def rig_seen_at_once(
+        self, rig: Rig, late: FloatArray, center: FloatArray, motion: RigidTransform, elapsed: float
+    ) -> Rig:
+        """The rig as it would have to stand to see at one instant what its cameras saw each at its own.
+
+        Args:
+            late: (C,) seconds after that instant.
+            center: (3,) of the object.
+            motion: of the object within `elapsed` seconds, which tells its speed.
+        """
+        twist = motion.as_exp_coords() / max(elapsed, 1e-9)
+        if not late.any() or not twist.any():
+            return rig
+        # A speed that changes from frame to frame by as much as it is says little about an instant in between.
+        speed = np.concatenate([twist[:3], np.cross(twist[:3], center) + twist[3:]])
+        square, change = _by_parts(speed**2), _by_parts(self.unsteady)
+        speed = speed * square / np.maximum(square + change, 1e-300)
+        twist = np.concatenate([speed[:3], speed[3:] - np.cross(speed[:3], center)])
+        cameras = [
+            replace(
+                camera, camera_from_world=camera.camera_from_world * RigidTransform.from_exp_coords(twist * seconds)
+            )
+            for camera, seconds in zip(rig, late, strict=True)
+        ]
+        return Rig(cameras, rig.unit)
+
+    def _surprise(self, rotation: Rotation, shift: FloatArray, center: FloatArray, elapsed: float) -> FloatArray:
+        """(6,) of (w, d): by how much a motion differs from what constant velocity gives."""
+        ahead = self.motion(elapsed)
+        turn = (rotation * ahead.rotation.inv()).as_rotvec()
+        return np.concatenate([turn, shift - (ahead.apply(center) - center)])
+
+
+def _by_parts(squares: FloatArray) -> FloatArray:
+    """(6,) the sums of the first three and of the last three, each three times."""
+    return np.repeat(squares.reshape(2, 3).sum(axis=1), 3)

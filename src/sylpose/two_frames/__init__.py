@@ -1,0 +1,1 @@
+"""How an object moved between two frames: perspective, six unknowns, outliers."""

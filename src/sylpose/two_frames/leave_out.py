@@ -1,0 +1,283 @@
+"""Cameras at fault, found by leaving them out: a wrong calibration, junk matches, a frozen image.
+
+Under weak perspective the inliers of one camera lie near a hyperplane of (x, y), whatever its calibration (`seeds`). How
+much worse the common motion fits them than their own hyperplane does (`_strain`) therefore tells, at any level of noise,
+that a camera disagrees with the rest. It pulls the motion towards itself, so that others look wrong as well; where one is
+strained the fit is made again without each of the most strained, and the one whose absence leaves the others at ease is the
+one. What of its matches agrees with the others' motion is heard again if that is more than chance and a bad calibration
+leave: then only some of its matches are of something else.
+
+Source: the leave-one-out test is Chow's (Econometrica 28, 1960); its use here is ours (docs/method.md).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sylpose.matches import STILL_PX
+from sylpose.moments import PairMoments
+from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.compiled import kernel
+from sylpose.paper.bad_cameras import suspect_cameras
+from sylpose.two_frames.fit import FAR_PX, Fit
+from sylpose.two_frames.reweight import CUTOFF, SIGMA_FLOOR_PX
+from sylpose.two_frames.terms import TermData
+
+__all__ = ["Solved", "without_faults"]
+
+
+# A camera is asked once the log-likelihood ratio (doubled, four unknowns) of its own hyperplane exceeds this, and left out
+# where that lowers those of the others, and its own, by so much together.
+STRAINED = 20.0
+# The unknowns of a hyperplane; a camera has so many inliers at least that they tell something of it.
+UNKNOWNS, ENOUGH = 4, 8
+# So many cameras are left out at most.
+MOST = 8
+# So many of the most strained cameras are left out in turn; and of all, at most, where none of these leaves the others at
+# ease.
+TRIED, TRIED_ALL = 3, 16
+# Two variances of so many matches are taken for one where their ratio exceeds 1 by no more than this over the root.
+SCATTER = 6.5
+# With three cameras the second likeliest must be so much worse than the one that is left out.
+CLEAR = 120.0
+# Where cameras were left out none of the others is strained by more than this, or the reason is another.
+AT_EASE = 12.0
+# A share of a camera's own inliers between these is neither junk nor a wrong calibration: it sees two motions.
+MIXED = (0.35, 0.6)
+# Where the others agree in less than this share of their matches, two motions are about as large: nobody is to blame.
+MAJORITY = 0.66
+# A camera's noise is as usual while its variance exceeds that of the others by no more than so many standard deviations.
+NOISIER = 3.5
+# What a match that is an inlier no more costs, in squares of its noise: the bisquare's bound.
+LOST = CUTOFF**2 / 3.0
+# Matches within the first distance of their epipolar lines, in standard deviations, are more than those between it and the
+# second where they are there for a reason; less than such a share of a camera's matches is none.
+NEAR, FAR, SHARE = 1.5, 4.5, 0.3
+# A camera of whose matches no more than this share are inliers was rejected as a whole.
+REJECTED = 0.2
+
+
+class Solved(NamedTuple):
+    """A fit and the place that was assumed of the object."""
+
+    fit: Fit
+    center: FloatArray
+    radius: float
+
+
+Solve = Callable[[Sequence[TermData]], Solved]
+
+
+def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str], solve: Solve) -> Solved:
+    """The solution without the cameras at fault, of which each is named in `Fit.faults`.
+
+    With two cameras it is not known which is wrong; with three only where one is by far the likeliest. At most every other
+    camera is left out, and no more than eight. Where no camera is strained this takes some ten microseconds per camera.
+
+    Args:
+        data: the terms of the fit, one per camera, all in one reference frame.
+        solved: the solution of all of them, with a pose or NOT_CONVERGED.
+        names: of the rig's cameras.
+        solve: solves a part of the terms.
+    """
+    heard = [np.ones(len(term), dtype=bool) for term in data]
+    out: list[int] = []
+    first = solved
+    asked: set[int] = set()
+    for _ in range(min((len(data) - 1) // 2, MOST)):
+        found = _worst(data, heard, solved, solve)
+        if found is None or found[0] in asked:
+            break
+        k, solved = found
+        asked.add(k)
+        heard[k] = _agreeing(data[k], solved)
+        again = _solved(data, heard, solve) if heard[k].any() else None
+        strain = np.inf if again is None else float(_strains(data, again.fit)[k])
+        if again is not None and not (strain > STRAINED and _noisy(again.fit, k)) and (again.fit.weights[k] > 0).any():
+            solved = again
+        else:
+            heard[k][:] = False
+            out.append(k)
+    if out and _strains(data, solved.fit).max() > AT_EASE + _chance(len(data)):
+        # Leaving out does not explain it: all are heard.
+        solved, out = first, []
+    if not solved.fit.status.has_pose:
+        return solved
+    inliers = np.array([np.count_nonzero(w) for w in solved.fit.weights])
+    matches = np.array([len(term) for term in data])
+    rejected = (matches >= ENOUGH) & (inliers <= REJECTED * matches)
+    rejected[out] = True
+    if not rejected.any() or inliers.sum() < MAJORITY * matches[~rejected].sum():
+        return solved
+    for k in np.flatnonzero(rejected).tolist():
+        rejected[k] = not _sees_two(solve([data[k]]).fit)
+    return solved._replace(fit=replace(solved.fit, faults=_named(data, solved.fit, rejected, out, names)))
+
+
+def _worst(
+    data: Sequence[TermData], heard: Sequence[BoolArray], solved: Solved, solve: Solve
+) -> tuple[int, Solved] | None:
+    """The term whose absence leaves the others at ease, or most so, if by more than chance; and the solution without it."""
+    cameras = sum(bool(mask.any()) for mask in heard)
+    # A camera may keep the solver from settling at all: any of them.
+    strains = _strains(data, solved.fit) if solved.fit.status.has_pose else np.full(len(data), np.inf)
+    if cameras < 3 or strains.max() < STRAINED + _chance(cameras):
+        return None
+    counts = np.array([(w > 0).sum() for w in solved.fit.weights])
+    ranks: dict[int, tuple[bool, float]] = {}
+    rests: dict[int, Solved] = {}
+    for tried, k in enumerate(np.argsort(-strains, kind="stable")[:TRIED_ALL].tolist()):
+        if tried >= TRIED and any(eased for eased, _ in ranks.values()):
+            break
+        rest = _solved(data, [mask & (i != k) for i, mask in enumerate(heard)], solve) if heard[k].any() else None
+        if rest is not None:
+            left = _strains(data, rest.fit)
+            lost = sum(counts[i] - (w > 0).sum() for i, w in enumerate(rest.fit.weights) if i != k)
+            ranks[k], rests[k] = (bool(left.max() <= AT_EASE + _chance(cameras)), float(left.sum() + LOST * lost)), rest
+    if not ranks:
+        return None
+    best, *others = sorted(ranks, key=lambda k: (not ranks[k][0], ranks[k][1]))
+    costs = {k: cost for k, (_, cost) in ranks.items()}
+    # Where all that is left is strained, the model is not quite right, and a difference means the less.
+    usual = max(1.0, costs[best] / (UNKNOWNS * (cameras - 1)))
+    clear = cameras > 3 or _still(data, best) or all(costs[k] - costs[best] > CLEAR * usual for k in others)
+    if not clear or strains.sum() - costs[best] < STRAINED * usual:
+        return None
+    return best, rests[best]
+
+
+def _chance(cameras: int) -> float:
+    """By how much more the most strained of so many cameras is strained by chance than one of four."""
+    return 2.0 * math.log(max(cameras / 4, 1.0))
+
+
+def _still(data: Sequence[TermData], k: int) -> bool:
+    """Whether nothing moves in a camera while all others see motion."""
+    far = [term.focal * float(np.median(np.linalg.norm(term.y - term.x, axis=1))) for term in data]
+    return far[k] <= STILL_PX and min(far[:k] + far[k + 1 :]) > FAR_PX
+
+
+def _solved(data: Sequence[TermData], heard: Sequence[BoolArray], solve: Solve) -> Solved | None:
+    """The solution of what is heard, spoken of as one of all terms; None without a pose."""
+    some = [i for i, mask in enumerate(heard) if mask.any()]
+    part = solve([data[i].subset(heard[i]) for i in some])
+    if not part.fit.status.has_pose:
+        return None
+    weights, residuals = [np.zeros(len(term)) for term in data], [_across(term, part) for term in data]
+    for i, w, r in zip(some, part.fit.weights, part.fit.residuals, strict=True):
+        weights[i][heard[i]], residuals[i][heard[i]] = w, r
+    return part._replace(fit=part.fit.with_matches(weights, residuals))
+
+
+def _strains(data: Sequence[TermData], fit: Fit) -> FloatArray:
+    """(T,) how much the terms' inliers would rather have a motion of their own: twice the logarithm of the likelihood ratio
+    of their own hyperplane, their noise unknown, to the fit. Below 0 where perspective bends the hyperplane by more than the
+    fit is off; 0 where there are too few inliers.
+    """
+    joint = np.zeros((len(data), 4, 4))
+    sums = [
+        _sums(term.x, term.y, w, r, joint[k])
+        for k, (term, w, r) in enumerate(zip(data, fit.weights, fit.residuals, strict=True))
+    ]
+    out = np.zeros(len(data))
+    values = np.linalg.eigvalsh(joint)[:, :2].tolist()
+    for k, (term, (count, mass, squares), (least, second)) in enumerate(zip(data, sums, values, strict=True)):
+        if count >= ENOUGH:
+            # Without parallax both are noise, and the least of them is less than that.
+            own = second if second < (1.0 + SCATTER / math.sqrt(count)) * least else least
+            floor = mass * SIGMA_FLOOR_PX**2
+            out[k] = (count - UNKNOWNS) * math.log(max(squares, floor) / max(term.focal**2 * own, floor))
+    return out
+
+
+@kernel
+def _sums(
+    x: FloatArray, y: FloatArray, weights: FloatArray, residuals: FloatArray, joint: FloatArray
+) -> tuple[int, float, float]:
+    """joint (4, 4) becomes the scatter of the inliers' (x, y); returns their number, weight and squared residuals."""
+    count, mass, squares = 0, 0.0, 0.0
+    mean, z = np.zeros(4), np.empty(4)
+    for i in range(len(weights)):
+        if weights[i] > 0.0:
+            count += 1
+            mass += weights[i]
+            squares += weights[i] * residuals[i] ** 2
+            for a in range(2):
+                mean[a] += weights[i] * x[i, a]
+                mean[2 + a] += weights[i] * y[i, a]
+    if count == 0:
+        return 0, 0.0, 0.0
+    for a in range(4):
+        mean[a] /= mass
+    for i in range(len(weights)):
+        if weights[i] > 0.0:
+            z[0], z[1], z[2], z[3] = x[i, 0] - mean[0], x[i, 1] - mean[1], y[i, 0] - mean[2], y[i, 1] - mean[3]
+            for a in range(4):
+                for b in range(4):
+                    joint[a, b] += weights[i] * z[a] * z[b]
+    return count, mass, squares
+
+
+def _agreeing(term: TermData, solved: Solved) -> BoolArray:
+    """(n,) matches near their epipolar lines of a motion that was found without them; none where chance may explain it."""
+    inliers = [(w[w > 0], r[w > 0]) for w, r in zip(solved.fit.weights, solved.fit.residuals, strict=True)]
+    mass = max(sum(float(w.sum()) for w, _ in inliers), 1e-300)
+    sigma = max(float(np.sqrt(sum(float(w @ r**2) for w, r in inliers) / mass)), SIGMA_FLOOR_PX)
+    off = np.abs(_across(term, solved)) / sigma
+    moved = term.focal * np.linalg.norm(term.y - term.x, axis=1) > STILL_PX
+    near, far = int((moved & (off < NEAR)).sum()), int((moved & (off >= NEAR) & (off < FAR)).sum())
+    enough = near > far and near >= max(ENOUGH, SHARE * moved.sum())
+    return moved & (off < FAR) if enough else np.zeros(len(term), dtype=bool)
+
+
+def _noisy(fit: Fit, k: int) -> bool:
+    """Whether a term's inliers are farther off than those of the others, by more than chance; True without inliers."""
+    inliers = [(w[w > 0], r[w > 0]) for w, r in zip(fit.weights, fit.residuals, strict=True)]
+    if len(inliers[k][0]) < ENOUGH:
+        return True
+    square = [float(w @ r**2) / float(w.sum()) for w, r in inliers if len(w) >= ENOUGH]
+    mine = float(inliers[k][0] @ inliers[k][1] ** 2) / float(inliers[k][0].sum())
+    return mine > (1.0 + NOISIER * float(np.sqrt(2.0 / len(inliers[k][0])))) * float(np.median(square))
+
+
+def _across(term: TermData, solved: Solved) -> FloatArray:
+    """(n,) Sampson's distance from the epipolar lines, signed, pixels; 0 where there are none."""
+    fit, center = solved.fit, solved.center
+    tau = term.rotation @ (fit.rotation @ (term.center_x - center) - (term.center - center) + fit.shift)
+    essential = np.cross(np.eye(3), tau) @ term.rotation @ fit.rotation @ term.rotation_x.T
+    x, y = (np.column_stack([points, np.ones(len(term))]) for points in (term.x, term.y))
+    of_y, of_x = x @ essential.T, y @ essential
+    size = np.sqrt((of_y[:, :2] ** 2).sum(axis=1) + (of_x[:, :2] ** 2).sum(axis=1))
+    return np.asarray(term.focal * (y * of_y).sum(axis=1) / np.maximum(size, 1e-300))
+
+
+def _sees_two(alone: Fit) -> bool:
+    """Whether a camera's own fit explains about half of its matches."""
+    inliers = int((alone.weights[0] > 0).sum())
+    return MIXED[0] * len(alone.weights[0]) < inliers < MIXED[1] * len(alone.weights[0])
+
+
+def _named(
+    data: Sequence[TermData], fit: Fit, rejected: BoolArray, out: Sequence[int], names: Sequence[str]
+) -> tuple[str, ...]:
+    """A sentence for each term that is rejected; those that were not left out may have none."""
+    labels = [names[term.camera] for term in data]
+    moments = [
+        PairMoments.from_matches(term.x, term.y, np.ones(len(term)) if reject else w)
+        for term, reject, w in zip(data, rejected, fit.weights, strict=True)
+    ]
+    diagnosis = suspect_cameras(
+        np.array([term.rotation for term in data]),
+        moments,
+        fit.rotation,
+        at_fault=np.flatnonzero(rejected).tolist(),
+        names=labels,
+    )
+    texts = {i: f.text for i, f in enumerate(diagnosis.faults) if rejected[i] and f is not None}
+    said = sorted({*texts, *(k for k in out if rejected[k])})
+    return tuple(texts.get(i, f"camera {labels[i]}: it disagrees with the others") for i in said)

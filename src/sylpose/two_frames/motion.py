@@ -1,0 +1,231 @@
+"""`estimate_motion`: how the object moved between two frames, from all cameras together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.matches import Matches
+from sylpose.methods import MOTION_METHODS as METHODS
+from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.compiled import rotvec_of
+from sylpose.numerics.matrices import covariance_of, forget
+from sylpose.results import Motion, Status
+from sylpose.rig import Rig
+from sylpose.two_frames.fit import MIN_MATCHES, Fit, fit_terms, no_fit
+from sylpose.two_frames.leave_out import Solved, without_faults
+from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
+from sylpose.two_frames.terms import TermData, object_place
+
+__all__ = [
+    "METHODS",
+    "estimate_motion",
+    "estimate_motions",
+    "motion_about",
+    "observed",
+    "unseen",
+]
+
+
+# A direction is "not observable" when its standard deviation exceeds this share of the motion itself.
+UNOBSERVABLE_SHARE = 0.5
+# Chi-square of three unknowns that chance exceeds once in a thousand times: below it, a turn may be none.
+CERTAIN_TURN = 16.3
+
+
+def estimate_motion(
+    rig: Rig,
+    matches: Sequence[Matches],
+    *,
+    method: str = "epipolar",
+    initial: RigidTransform | None = None,
+    center: ArrayLike | None = None,
+    radius: float | None = None,
+    seed: int = 0,
+) -> Motion:
+    """The object's motion between two frames from matches within each camera.
+
+    Args:
+        rig: C cameras.
+        matches: C sets of matches, in the rig's order; `Matches.none()` for a camera that sees nothing.
+        method: "epipolar" (perspective, six degrees of freedom, robust: docs/method.md, "Two frames") or one of the paper's
+            estimators, from the pair moments of its inliers: "sylvester" (centralised), "depth-plane" (with a plane for
+            the depth), "exchange", "refine", "gossip" (distributed), "one-camera" and "unconstrained" (of the camera that
+            has the most matches).
+        initial: a guess of the motion (while tracking, the last one), tried besides the built-in starts.
+        center: (3,) where the object's centre is in frame i, world; None: the point nearest to the cameras' mean rays.
+        radius: of the object, length units, about right (twice the median distance of its points from the centre); None:
+            from the spread of the matches.
+        seed: of the outlier rejection. Same input and seed, same result.
+
+    Returns:
+        `Motion`; look at its `status` first. One camera alone gives SCALE_NOT_OBSERVABLE: its translation is then in
+        units of an object at distance 1, unless `center` says where the object is.
+
+    Raises:
+        ValueError: as many matches as cameras are needed; an unknown method; a center that is not finite or behind a camera
+            that has matches; a radius that is not positive.
+
+    Source: Chen & Schonfeld 2010 for the paper's estimators; docs/method.md for the rest.
+    """
+    if len(matches) != len(rig):
+        raise ValueError(
+            f"matches: {len(matches)} sets for {len(rig)} cameras; give one per camera, in the rig's order"
+        )
+    if method not in METHODS:
+        raise ValueError(f"method: {method!r} is not one of {', '.join(METHODS)}")
+    if radius is not None and not (np.isfinite(radius) and radius > 0):
+        raise ValueError(f"radius: {radius} is not a positive length")
+    if initial is not None and not np.isfinite(initial.as_matrix()).all():
+        raise ValueError("initial: the transform has values that are not finite")
+    if center is not None and not np.isfinite(np.asarray(center, dtype=float)).all():
+        raise ValueError(f"center: {center!r} is not a point of three finite coordinates")
+    data = [
+        TermData(c, m.x, m.y, camera.rotation, camera.center, camera.focal)
+        for c, (camera, m) in enumerate(zip(rig, matches, strict=True))
+        if len(m)
+    ]
+    if sum(len(term) for term in data) < MIN_MATCHES:
+        return _motion(rig, matches, data, no_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), method, 1.0)
+    given = None if center is None else _place(center, rig, data)
+    rng = np.random.default_rng(seed)
+
+    def solve(terms: Sequence[TermData]) -> Solved:
+        found_center, found_radius = object_place(terms)
+        g = found_center if given is None else given
+        guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
+        size = found_radius if radius is None else radius
+        return Solved(fit_terms(terms, g, size, guess, rng), g, size)
+
+    solved = solve(data)
+    if solved.fit.status.has_pose or solved.fit.status is Status.NOT_CONVERGED:
+        solved = without_faults(data, solved, rig.names, solve)
+    fit, g, size = solved
+    if method in ESTIMATORS and fit.status is Status.OK:
+        fit = paper_fit(method, data, fit, g, rig.names)
+    return _motion(rig, matches, data, fit, g, method, size)
+
+
+def estimate_motions(
+    rig: Rig, pairs: Iterable[Sequence[Matches]], *, method: str = "epipolar", seed: int = 0, threads: int = 1
+) -> list[Motion]:
+    """The motions of many frame pairs of one rig.
+
+    Args:
+        rig: C cameras.
+        pairs: for each frame pair its C sets of matches, as `estimate_motion` takes them.
+        method, seed: as in `estimate_motion`; every pair has the same seed.
+        threads: the compiled part of the work, two thirds of it, runs beside that of other pairs.
+
+    Returns:
+        what `estimate_motion` returns for each, to the last bit, in order.
+
+    Raises:
+        ValueError: as `estimate_motion`; fewer than one thread.
+    """
+    if int(threads) != threads or threads < 1:
+        raise ValueError(f"threads: {threads} is not a positive number")
+
+    def one(matches: Sequence[Matches]) -> Motion:
+        return estimate_motion(rig, matches, method=method, seed=seed)
+
+    if threads == 1:
+        return [one(matches) for matches in pairs]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(one, pairs))
+
+
+def observed(fit: Fit, radius: float) -> Fit:
+    """The fit with its status set to what its information shows: all of it seen, or the scale, or a turn not."""
+    return _judged(fit, radius)[0]
+
+
+def _judged(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
+    """`observed`, and the directions (k, 6) that its status is about."""
+    if fit.status not in (Status.OK, Status.NOT_CERTIFIED):
+        return fit, np.empty((0, 6))
+    directions = unseen(fit, radius)
+    if len(directions) == 0:
+        return fit, directions
+    turn = np.linalg.norm(radius * directions[:, :3], 2) ** 2 > 0.5
+    return replace(fit, status=Status.TURN_NOT_OBSERVABLE if turn else Status.SCALE_NOT_OBSERVABLE), directions
+
+
+def unseen(fit: Fit, radius: float) -> FloatArray:
+    """The directions (k, 6) of (w, d) that the matches leave open, whatever is believed of the object's distance.
+
+    A turn moves the object's surface by radius times angle, a displacement by its length: in that measure, rows are
+    orthonormal, and a direction is open when its standard deviation exceeds half of the motion itself
+    (`UNOBSERVABLE_SHARE`): even the sign of what it adds is then in doubt. A displacement without a turn has no observable
+    length; a turn that is mere noise must not pretend to one.
+    """
+    scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
+    values, vectors = np.linalg.eigh(fit.information_without_depth * np.outer(scale, scale))
+    turn, length = np.empty(3), float(np.linalg.norm(fit.shift))
+    rotvec_of(fit.rotation, turn)
+    size = np.hypot(radius * np.linalg.norm(turn), length)
+    weak = vectors[:, values * (UNOBSERVABLE_SHARE * size) ** 2 < 1.0].T
+    if len(weak) == 0 and length > radius * np.linalg.norm(turn):
+        of_turn = np.linalg.inv(covariance_of(fit.information)[:3, :3])
+        if turn @ of_turn @ turn < CERTAIN_TURN:
+            weak = np.concatenate([np.zeros(3), fit.shift / length])[None]
+    return np.asarray(weak * scale)
+
+
+def motion_about(center: FloatArray, fit: Fit) -> RigidTransform:
+    """X -> R (X - g) + g + d as a transform."""
+    rotation = Rotation.from_matrix(fit.rotation, assume_valid=True)
+    return RigidTransform.from_components(center + fit.shift - fit.rotation @ center, rotation)
+
+
+def _motion(
+    rig: Rig,
+    matches: Sequence[Matches],
+    data: Sequence[TermData],
+    fit: Fit,
+    center: FloatArray,
+    method: str,
+    radius: float,
+) -> Motion:
+    """The public result of a fit, with what cannot be observed said."""
+    inliers = [np.zeros(len(m), bool) for m in matches]
+    residuals = np.full(len(rig), np.nan)
+    for term, w, r in zip(data, fit.weights, fit.residuals, strict=True):
+        inliers[term.camera] = w > 0
+        if (w > 0).any():
+            residuals[term.camera] = np.sqrt(np.mean(r[w > 0] ** 2))
+    fit, open_ = _judged(fit, radius)
+    information = fit.information_without_depth if len(open_) else fit.information
+    if fit.status is Status.SCALE_NOT_OBSERVABLE:
+        for row in open_:
+            # What is in a length that is not observable is not known at all, whatever the linearised model says.
+            information = forget(information, row)
+    return Motion(
+        status=fit.status,
+        motion=motion_about(center, fit) if fit.status.has_pose or len(open_) else None,
+        center=center,
+        information=information,
+        covariance=covariance_of(information),
+        unseen=open_,
+        inliers=tuple(inliers),
+        residuals=residuals,
+        method=method,
+        iterations=fit.iterations,
+        faults=fit.faults,
+    )
+
+
+def _place(center: ArrayLike, rig: Rig, data: Sequence[TermData]) -> FloatArray:
+    """The given centre (3,), once it makes sense."""
+    g = np.asarray(center, dtype=float)
+    if g.shape != (3,) or not np.isfinite(g).all():
+        raise ValueError(f"center: {center!r} is not a point of three finite coordinates")
+    for term in data:
+        if term.rotation[2] @ (g - term.center) <= 0:
+            raise ValueError(f"center: {g.tolist()} is behind camera {rig.names[term.camera]}, which has matches")
+    return g

@@ -1,0 +1,160 @@
+"""The paper's estimators as methods of `estimate_motion` and the tracker.
+
+None of them rejects outliers: they are given the inliers of a robust fit, as pair moments, and their rotation takes the
+place of the fit's. The displacement follows from the means. Cameras at fault are left out and named (`paper.bad_cameras`).
+
+Source: Chen & Schonfeld (2010); docs/method.md, "The paper".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sylpose.moments import PairMoments
+from sylpose.numerics.arrays import FloatArray
+from sylpose.paper.bad_cameras import diagnose
+from sylpose.paper.centralized import UNSEEN_TURN, solve_centralized
+from sylpose.paper.depth_plane import solve_depth_plane
+from sylpose.paper.displacement import translation_from_means, translation_from_moments
+from sylpose.paper.distributed.simulated import Agreement, solve_exchange, solve_gossip, solve_refine
+from sylpose.paper.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
+from sylpose.results import Status
+from sylpose.two_frames.fit import Fit
+from sylpose.two_frames.terms import TermData
+
+__all__ = ["ESTIMATORS", "paper_fit"]
+
+Moments = Sequence[PairMoments]
+
+# Fewer matches have no second moments.
+SPREAD = 3
+
+
+class Turn(NamedTuple):
+    """What an estimator says.
+
+    Attributes:
+        rotation: (3, 3) R.
+        information: (3, 3) of w, R = exp(w) R̂.
+        iterations: or rounds.
+        unbiased: the displacement may follow from epipolar geometry; a bias of the rotation would turn into a shift.
+    """
+
+    status: Status
+    rotation: FloatArray
+    information: FloatArray
+    iterations: int
+    unbiased: bool = False
+
+
+def _sylvester(Q: FloatArray, moments: Moments, guess: FloatArray) -> Turn:
+    if len(Q) == 1:
+        return ESTIMATORS["one-camera"](Q, moments, guess)
+    s = solve_centralized(Q, moments)
+    return Turn(s.status, s.rotation, s.information, s.iterations)
+
+
+def _depth_plane(Q: FloatArray, moments: Moments, _: FloatArray) -> Turn:
+    s = solve_depth_plane(Q, moments)
+    return Turn(s.status, s.rotation, s.information, s.iterations, unbiased=True)
+
+
+def _distributed(solve: Callable[[FloatArray, Moments], Agreement]) -> Estimator:
+    def agree(Q: FloatArray, moments: Moments, guess: FloatArray) -> Turn:
+        if len(Q) == 1:
+            return ESTIMATORS["one-camera"](Q, moments, guess)
+        s = solve(Q, moments)
+        return Turn(s.status, s.rotation, s.information, s.rounds)
+
+    return agree
+
+
+def _one_camera(solve: Callable[[FloatArray, PairMoments], OneCameraSolution]) -> Estimator:
+    """Of the camera with the most matches; of its two mirrored answers the one nearer to the robust fit's, which it cannot
+    tell itself."""
+
+    def one(Q: FloatArray, moments: Moments, guess: FloatArray) -> Turn:
+        c = int(np.argmax([m.count for m in moments]))
+        s = solve(Q[c], moments[c])
+        k = int(np.argmin(np.linalg.norm(s.rotations - guess, axis=(1, 2))))
+        return Turn(s.status, s.rotations[k], s.information[k], s.iterations)
+
+    return one
+
+
+# (rotations (C, 3, 3), C moments, the robust fit's R) -> the estimate. The keys are names of methods (`methods`).
+Estimator = Callable[[FloatArray, Moments, FloatArray], Turn]
+ESTIMATORS: dict[str, Estimator] = {
+    "sylvester": _sylvester,
+    "depth-plane": _depth_plane,
+    "exchange": _distributed(solve_exchange),
+    "refine": _distributed(solve_refine),
+    "gossip": _distributed(solve_gossip),
+    "one-camera": _one_camera(solve_one_camera),
+    "unconstrained": _one_camera(solve_unconstrained),
+}
+
+
+def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatArray, names: Sequence[str]) -> Fit:
+    """One of the paper's estimates in place of a robust fit's motion.
+
+    Args:
+        method: a key of `ESTIMATORS`.
+        data: the terms of the fit, one per camera, all of the same reference.
+        robust: a fit whose status is OK.
+        center: (3,) g.
+        names: of the rig's cameras.
+
+    Returns:
+        the fit with its motion, information, status and `faults` replaced; the weights stay the robust fit's.
+    """
+    seen = [i for i, w in enumerate(robust.weights) if (w > 0).sum() >= SPREAD]
+    if not seen:
+        return replace(robust, status=Status.TURN_NOT_OBSERVABLE)
+    Q = np.array([data[i].rotation for i in seen])
+    inliers = [PairMoments.from_matches(data[i].x, data[i].y, robust.weights[i]) for i in seen]
+    diagnosis = diagnose(Q, inliers, names=[names[data[i].camera] for i in seen])
+    # Where it cannot be told which cameras are wrong, all of them are heard, as by the robust fit.
+    trust = diagnosis.weights if diagnosis.consistent else np.ones(len(seen))
+    moments = [PairMoments(float(t) * m.matrix) for t, m in zip(trust, inliers, strict=True)]
+    faults = tuple(dict.fromkeys((*robust.faults, *(fault.text for fault in diagnosis.faults if fault is not None))))
+    try:
+        turn = ESTIMATORS[method](Q, moments, robust.rotation)
+        centers = np.array([data[i].center for i in seen])
+        shift, of_shift = translation_from_means(Q, centers, moments, turn.rotation, center)
+        known, believed = np.zeros((6, 6)), np.zeros((6, 6))
+        if turn.unbiased:
+            believed[3:, 3:] = of_shift
+            shift, known = translation_from_moments(Q, centers, moments, turn.rotation, center, shift, of_shift)
+        else:
+            known[3:, 3:] = of_shift
+    except ValueError:
+        # No spread in any camera, or an object behind one: nothing to estimate a turn from.
+        return replace(robust, status=Status.TURN_NOT_OBSERVABLE, faults=faults)
+    known[:3, :3] += _seen(turn)
+    return replace(
+        robust,
+        # What of the turn is not seen, `verdict.observed` says: the information knows nothing of it.
+        status=Status.OK if turn.status is Status.TURN_NOT_OBSERVABLE else turn.status,
+        rotation=turn.rotation,
+        shift=shift,
+        information=known + believed,
+        information_without_depth=known,
+        iterations=robust.iterations + turn.iterations,
+        faults=faults,
+    )
+
+
+def _seen(turn: Turn) -> FloatArray:
+    """(3, 3) the information of the turn, without the directions that the estimator says it has not seen."""
+    values, vectors = np.linalg.eigh(turn.information)
+    # Off an optimum (the unconstrained estimate) a Hessian may be negative.
+    values = np.maximum(values, 0.0)
+    if turn.status is Status.TURN_NOT_OBSERVABLE:
+        values[0] = 0.0
+        values[values < 1 / UNSEEN_TURN**2] = 0.0
+    return np.asarray((vectors * values) @ vectors.T)

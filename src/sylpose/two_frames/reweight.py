@@ -1,0 +1,368 @@
+"""Re-weighting: a motion, the matches that agree with it and the noise they have, each from the others until they settle.
+
+Gauss-Newton on the distances of `match_cost`, the surfaces eliminated term by term. V is held fixed within a step
+(quasi-likelihood); weights are bisquare in d; σ comes from the weighted residuals across the epipolar lines, per term
+but drawn towards that of the rig; ζ from those along them. A mismatch that lies on its epipolar line by chance is found
+out by its distance along it.
+
+Source: M-estimators of regression and scale, Huber & Ronchetti, "Robust Statistics", chapters 6 and 7; docs/method.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, solve_factored, turn_by
+from sylpose.two_frames.match_cost import match_equations
+from sylpose.two_frames.terms import SURFACE, Stack
+
+__all__ = ["CUTOFF", "SETTLED", "reweight"]
+
+
+# Cutoff of d. With Gaussian noise in both directions d² is chi-squared with two degrees of freedom, for which
+# follow: the weighted mean square over the mean weight, and the information that the estimate has over what its
+# weights say (A² / B / mean weight of the sandwich, 95 % efficient).
+CUTOFF = 5.0
+SHRINKAGE, EFFICIENCY = 0.8425, 1.109
+# Cutoffs of the first rounds are wider by these factors: the first motion comes from contaminated matches.
+WIDER = (2.0, 1.5, 1.2)
+# Rounds at least, while the noise level still moves, and at most.
+MIN_ROUNDS, MAX_ROUNDS = 5, 40
+# From this round on, steps are cut shorter and shorter.
+LONG_ROUNDS = 12
+# Settled when a step promises to lower the cost by less than this: a thirtieth of a standard deviation.
+SETTLED = 5e-4
+# A term's σ counts as that of so many matches more that have the rig's.
+RIG_MATCHES = 10.0
+# Noise is never believed to be less, pixels, nor more than so many times the seeds': else two motions, or none, would be
+# explained by it.
+SIGMA_FLOOR_PX = 0.02
+SIGMA_GROWTH = 2.0
+# Fitting α to noise makes the parallax, and so the motion, look larger than it is. Integrating α out of the likelihood
+# instead takes that back where surfaces are as curved as is believed, and too much of it where they are flatter: this share
+# of it lies between, and is hardly worse than either at its best (docs/benchmarks.md).
+INTEGRATED = 0.5
+# Neighbours have like relief: of all a term's matches only so many are independent of each other in it.
+INDEPENDENT = 6.0
+# A camera that agrees with the others in fewer of its matches than this is set aside: junk alone reaches about a tenth.
+CAMERA_MIN_SHARE = 0.3
+
+
+@kernel
+def reweight(
+    stack: Stack,
+    usable: BoolArray,
+    rotation: FloatArray,
+    shift: FloatArray,
+    surface: FloatArray,
+    sigma_px: FloatArray,
+    weights: FloatArray,
+    across: FloatArray,
+    information: FloatArray,
+    without_depth: FloatArray,
+    noise: FloatArray,
+) -> tuple[int, float, float]:
+    """From one motion to the one that its inliers agree on, all in place.
+
+    Args:
+        usable: (N,) matches that may be inliers.
+        rotation: (3, 3), shift: (3,), surface: (T, 6): start, then result.
+        sigma_px: (T,) noise assumed at first, pixels; then measured.
+        weights: (N,), across: (N,) signed epipolar distances in pixels: filled.
+        information: (6, 6) about (w, d), without_depth: (6, 6) the same when nothing is believed of the
+            surfaces, of how far away they are nor how curved, noise: (6, 6) the part of both that tells
+            nothing (`match_equations`): filled.
+
+    Returns:
+        number of rounds; what the last step promised to lower the cost by, infinite where no match agreed; the negative
+        log-likelihood of all usable matches, to compare hypotheses by.
+    """
+    n, n_matches = sigma_px.shape[0], weights.shape[0]
+    distance, along, parallax = np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
+    equations, gains = np.empty((12, 14)), np.empty((n, SURFACE, 7))
+    total, right, step, prior = np.empty((6, 6)), np.empty(6), np.empty(6), np.empty((SURFACE, SURFACE))
+    open_prior = np.empty((SURFACE, SURFACE))
+    noise_now, no_noise = np.empty((6, 6)), np.empty((0, 0))
+    unused = np.empty(6)
+    turned, relief, mass = np.empty((3, 3)), stack.relief.copy(), np.zeros(n)
+    trusted = np.ones(n, np.bool_)
+    bound = SIGMA_GROWTH * sigma_px.max()
+    promise, length, count, settled = np.inf, 1.0, 0, False
+    for count in range(1, MAX_ROUNDS + 2):
+        cutoff = CUTOFF * (WIDER[count - 1] if count <= 3 else 1.0)
+        total[:] = 0.0
+        without_depth[:] = 0.0
+        noise[:] = 0.0
+        right[:] = 0.0
+        for t in range(n):
+            match_equations(
+                stack,
+                t,
+                usable,
+                rotation,
+                shift,
+                surface[t],
+                (sigma_px[t] / stack.focal[t]) ** 2,
+                relief[t],
+                relief[t] * np.sqrt(max(1.0, mass[t] / INDEPENDENT)),
+                cutoff,
+                distance,
+                across,
+                along,
+                parallax,
+                weights,
+                equations,
+                noise_now if settled else no_noise,
+            )
+            _surface_prior(stack, t, surface[t], prior)
+            if settled and trusted[t]:
+                # The last round: nothing moves any more.
+                for k in range(SURFACE):
+                    for j in range(SURFACE):
+                        open_prior[k, j] = 1e-6 * prior[k, j]
+                _reduce(stack, t, surface[t], open_prior, equations, without_depth, unused, gains[t])
+                _add_turned(noise_now, stack.qy[t], noise)
+            if not trusted[t]:
+                gains[t] = 0.0
+            elif not _reduce(stack, t, surface[t], prior, equations, total, right, gains[t]):
+                return count, np.inf, np.inf
+        information[:] = total
+        if settled:
+            # A turn that nothing but noise shows never settles, nor need it.
+            step[:] = right
+            if promise >= SETTLED and cholesky_solve(total, step):
+                promise = 0.0
+                for i in range(6):
+                    promise += 0.5 * step[i] * right[i]
+                    for j in range(6):
+                        promise -= 0.5 * step[i] * noise[i, j] * step[j]
+                promise = max(promise, 0.0)
+            break
+        # Turns and shifts have different units; a trace of each keeps what is not seen at all in place.
+        turns, shifts = total[0, 0] + total[1, 1] + total[2, 2], total[3, 3] + total[4, 4] + total[5, 5]
+        for i in range(3):
+            total[i, i] += 1e-9 * turns
+            total[3 + i, 3 + i] += 1e-9 * shifts
+        step[:] = right
+        if not cholesky_solve(total, step):
+            return count, np.inf, np.inf
+        last_promise, promise = promise, 0.0
+        for i in range(6):
+            promise += 0.5 * step[i] * right[i]
+        # Steps that grow overshoot, and matches that come and go make them circle: shorter ones settle.
+        length = max(0.5 * length, 0.1) if promise > last_promise and count > 4 else min(1.3 * length, 1.0)
+        if count > LONG_ROUNDS:
+            length = min(length, LONG_ROUNDS / count)
+        angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+        length_now = length * min(1.0, 0.3 / max(angle, 1e-300))
+        for i in range(6):
+            step[i] *= length_now
+        turn_by(step[:3], rotation, turned)
+        rotation[:] = turned
+        for i in range(3):
+            shift[i] += step[3 + i]
+        for t in range(n):
+            for k in range(SURFACE):
+                surface[t, k] += length_now * gains[t, k, 6]
+                for j in range(6):
+                    surface[t, k] -= gains[t, k, j] * step[j]
+        for t in range(n):
+            mass[t] = 0.0
+            for i in range(stack.offsets[t], stack.offsets[t + 1]):
+                mass[t] += weights[i]
+        if count >= 2:
+            _set_aside(stack, usable, weights, trusted)
+            _scale(stack, weights, across, trusted, bound, sigma_px)
+            _reliefs(stack, weights, along, parallax, sigma_px, relief)
+        settled = (count >= MIN_ROUNDS and promise < SETTLED) or count == MAX_ROUNDS
+    cost, density = 0.0, 0.0
+    for t in range(n):
+        cost += _surface_prior(stack, t, surface[t], prior)
+        f, variance = stack.focal[t], (sigma_px[t] / stack.focal[t]) ** 2
+        anywhere = np.log((4.0 * stack.spread[t]) ** 2 / (2.0 * np.pi))
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            if usable[i]:
+                density = 0.5 * np.log(variance * (variance + (relief[t] * parallax[i]) ** 2))
+                cost += min(0.5 * distance[i] + density, max(anywhere, density)) - anywhere
+            across[i] *= f
+            if not trusted[t]:
+                weights[i] = 0.0
+    for i in range(6):
+        for j in range(6):
+            information[i, j] *= EFFICIENCY
+            without_depth[i, j] *= EFFICIENCY
+            noise[i, j] *= EFFICIENCY
+    return count, promise, cost
+
+
+@kernel
+def _reduce(
+    stack: Stack,
+    t: int,
+    surface: FloatArray,
+    prior: FloatArray,
+    equations: FloatArray,
+    total: FloatArray,
+    right: FloatArray,
+    gain: FloatArray,
+) -> bool:
+    """Adds term t's equations, its surface eliminated, to total (6, 6) and right (6,), in world axes.
+
+    gain (6, 7) becomes the surface's answer: α changes by gain[:, 6] - gain[:, :6] (w, d).
+    """
+    block, column, small = np.empty((SURFACE, SURFACE)), np.empty(SURFACE), np.empty((6, 7))
+    of_motion = np.empty((6, 6))
+    q = stack.qy[t]
+    # From the camera's axes to the world's: both halves of (w, d) turn with Q.
+    for k in range(SURFACE):
+        for h in range(2):
+            for j in range(3):
+                s = 0.0
+                for a in range(3):
+                    s += equations[6 + k, 3 * h + a] * q[a, j]
+                gain[k, 3 * h + j] = s
+        gain[k, 6] = equations[6 + k, 12]
+        for j in range(SURFACE):
+            gain[k, 6] -= prior[k, j] * (surface[j] - stack.surface_mean[t, j])
+    for k in range(SURFACE):
+        for j in range(7):
+            small[k, j] = gain[k, j]
+    for i in range(SURFACE):
+        for j in range(i + 1):
+            block[i, j] = block[j, i] = equations[6 + i, 6 + j] + prior[i, j]
+    if not cholesky(block):
+        return False
+    for c in range(7):
+        for i in range(SURFACE):
+            column[i] = gain[i, c]
+        solve_factored(block, column)
+        for i in range(SURFACE):
+            gain[i, c] = column[i]
+    # What the data say of α, as a number of unknowns: trace of block^-1 (block - prior).
+    unknowns = float(SURFACE)
+    for c in range(SURFACE):
+        for i in range(SURFACE):
+            column[i] = 1.0 if i == c else 0.0
+        solve_factored(block, column)
+        for i in range(SURFACE):
+            unknowns -= column[i] * prior[i, c]
+    # The derivative of log det(block) / 2, from the likelihood with α integrated out.
+    pull = INTEGRATED * unknowns / max(equations[6, 13], 1e-300)
+    for i in range(6):
+        for j in range(i + 1):
+            of_motion[i, j] = of_motion[j, i] = equations[i, j]
+    _add_turned(of_motion, q, total)
+    for i in range(6):
+        h, j = i // 3, i % 3
+        for a in range(3):
+            right[i] += q[a, j] * (equations[3 * h + a, 12] - pull * equations[3 * h + a, 13])
+        for k in range(SURFACE):
+            right[i] -= small[k, i] * gain[k, 6]
+            for j2 in range(6):
+                total[i, j2] -= small[k, i] * gain[k, j2]
+    return True
+
+
+@kernel
+def _add_turned(block: FloatArray, q: FloatArray, total: FloatArray) -> None:
+    """Adds a (6, 6) form in the camera's axes to one in the world's: both halves turn with Q."""
+    for h in range(2):
+        for g in range(2):
+            for i in range(3):
+                for j in range(3):
+                    s = 0.0
+                    for a in range(3):
+                        for b in range(3):
+                            s += q[a, i] * block[3 * h + a, 3 * g + b] * q[b, j]
+                    total[3 * h + i, 3 * g + j] += s
+
+
+@kernel
+def _surface_prior(stack: Stack, t: int, surface: FloatArray, prior: FloatArray) -> float:
+    """prior (6, 6): information about α; returns what α's departure from its mean costs.
+
+    Slopes are heavy-tailed (a Cauchy distribution in two dimensions): a plane may be seen at a grazing angle.
+    """
+    steep, cost = 0.0, 0.0
+    for k in range(SURFACE):
+        for j in range(SURFACE):
+            prior[k, j] = stack.surface_information[t, k, j]
+            part = prior[k, j] * (surface[k] - stack.surface_mean[t, k]) * (surface[j] - stack.surface_mean[t, j])
+            if k == 1 or k == 2:
+                steep += part
+            else:
+                cost += 0.5 * part
+    for k in range(1, 3):
+        prior[k, k] *= 3.0 / (1.0 + steep)
+    return float(cost + 1.5 * np.log(1.0 + steep))
+
+
+@kernel
+def _reliefs(
+    stack: Stack,
+    weights: FloatArray,
+    along: FloatArray,
+    parallax: FloatArray,
+    sigma_px: FloatArray,
+    relief: FloatArray,
+) -> None:
+    """relief (T,): ζ by moments, what the squares along the epipolar lines exceed the noise by; drawn towards what is
+    believed of it, where the parallax is too small to tell.
+    """
+    for t in range(relief.shape[0]):
+        variance = (sigma_px[t] / stack.focal[t]) ** 2
+        believed = stack.relief[t] ** 2
+        excess, certainty, mass = 0.0, 0.0, 0.0
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            if weights[i] > 0.0:
+                p2 = parallax[i] ** 2
+                # A normal variable's square scatters by twice the square of its variance.
+                w = weights[i] / (2.0 * (variance + relief[t] ** 2 * p2) ** 2)
+                excess += w * p2 * (along[i] ** 2 / SHRINKAGE - variance)
+                certainty += w * p2 * p2
+                mass += weights[i]
+        # The surface's unknowns have taken a share of the squares: six of them at most.
+        freedom = max(1.0 - 6.0 / max(mass, 6.0), 0.1)
+        z2 = (excess + 1.0 / believed) / (freedom * certainty + 1.0 / believed**2)
+        relief[t] = np.sqrt(max(z2, 1e-3 * believed))
+
+
+@kernel
+def _scale(
+    stack: Stack, weights: FloatArray, across: FloatArray, trusted: BoolArray, bound: float, sigma_px: FloatArray
+) -> None:
+    """sigma_px (T,) from the weighted residuals."""
+    n = sigma_px.shape[0]
+    squares, mass, inliers = np.zeros(n), np.zeros(n), 0
+    for t in range(n):
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            if weights[i] > 0.0:
+                squares[t] += weights[i] * (across[i] * stack.focal[t]) ** 2 / SHRINKAGE
+                mass[t] += weights[i]
+                inliers += trusted[t]
+    if inliers == 0:
+        return
+    # Six unknowns have taken their share of the squares.
+    freedom = max(1.0 - 6.0 / inliers, 0.15)
+    rig = (squares * trusted).sum() / max((mass * trusted).sum(), 1e-12) / freedom
+    for t in range(n):
+        square = (squares[t] / freedom + RIG_MATCHES * rig) / (mass[t] + RIG_MATCHES)
+        sigma_px[t] = min(max(np.sqrt(square), SIGMA_FLOOR_PX), bound)
+
+
+@kernel
+def _set_aside(stack: Stack, usable: BoolArray, weights: FloatArray, trusted: BoolArray) -> None:
+    """trusted (T,): not the terms that agree in too few of their matches, when others agree in many."""
+    n = stack.focal.shape[0]
+    share, best = np.ones(n), 0.0
+    for t in range(n):
+        agree, could = 0, 0
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            could += usable[i]
+            agree += weights[i] > 0.0
+        if could >= 6:
+            share[t] = agree / could
+            best = max(best, share[t])
+    for t in range(n):
+        trusted[t] = best < 2.0 * CAMERA_MIN_SHARE or share[t] >= CAMERA_MIN_SHARE

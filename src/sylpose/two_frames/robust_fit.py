@@ -1,0 +1,149 @@
+"""From matches to one robust motion, compiled from end to end: seeds, search, re-weighting."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.compiled import kernel
+from sylpose.two_frames.moments_cost import moments_into
+from sylpose.two_frames.reweight import SETTLED, reweight
+from sylpose.two_frames.search import search
+from sylpose.two_frames.seeds import hyperplane_inliers
+from sylpose.two_frames.terms import SURFACE, Stack
+
+__all__ = ["robust_fit"]
+
+
+# Distance from the affine epipolar constraint that perspective and noise explain.
+SEED_PX = 1.0
+# Where less than this share of a camera's matches are seeds, a wider band is tried, by this factor; it is believed when
+# it holds a majority, which outliers alone do not fill.
+SEED_SHARE, SEED_WIDE, SEED_MAJORITY = 0.4, 4.0, 0.65
+# Noise of the seeds, pixels: bounds of what is read off their distances from the hyperplane.
+SEED_SIGMA_PX = (0.15, 1.5)
+# Minima that may be refined, and how near their log-likelihood must come to the best one's: the moments, with their
+# denominators at the mean rays, misjudge it by some tens where the turn is large.
+KEEP = 4
+SECOND_CHANCE = 60.0
+
+
+@kernel
+def robust_fit(
+    stack: Stack,
+    usable: BoolArray,
+    picks: FloatArray,
+    guess_rotations: FloatArray,
+    guess_shifts: FloatArray,
+    rotation: FloatArray,
+    shift: FloatArray,
+    weights: FloatArray,
+    across: FloatArray,
+    sigma_px: FloatArray,
+    information: FloatArray,
+    without_depth: FloatArray,
+    noise: FloatArray,
+) -> tuple[int, float]:
+    """One robust motion: seeds per term, minima of all seeds together, the best of them re-weighted.
+
+    Args:
+        usable: (N,) matches that may be inliers.
+        picks: (h, 4) in [0, 1): draw the seeds' quadruples.
+        guess_rotations: (G, 3, 3), guess_shifts: (G, 3).
+        rotation: (3, 3), shift: (3,), weights: (N,), across: (N,) pixels, sigma_px: (T,),
+            information, without_depth, noise: (6, 6) (`reweight`): filled.
+
+    Returns:
+        iterations of the solver; what its last step promised (`minimize`), infinite where there is no fit.
+    """
+    n, n_matches = stack.focal.shape[0], stack.x.shape[0]
+    moments, variance = np.empty((n, 9, 9)), np.empty(n)
+    _seed(stack, usable, picks, weights, sigma_px)
+    for t in range(n):
+        first, last = stack.offsets[t], stack.offsets[t + 1]
+        moments_into(stack.x[first:last], stack.y[first:last], weights[first:last], moments[t])
+        if not moments[t, 8, 8] > 0.0:
+            moments[t, 8, 8] = 1e-9
+        variance[t] = (sigma_px[t] / stack.focal[t]) ** 2
+    rotations, shifts, planes = np.zeros((KEEP, 3, 3)), np.zeros((KEEP, 3)), np.zeros((KEEP, n, 3))
+    likelihoods, first_sigma = np.empty(KEEP), sigma_px.copy()
+    iterations = search(stack, moments, variance, guess_rotations, guess_shifts, rotations, shifts, planes, likelihoods)
+    best, promise = np.inf, np.inf
+    weights_, across_, sigma_ = np.zeros(n_matches), np.zeros(n_matches), np.empty(n)
+    information_, without_, noise_ = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    surface = np.empty((n, SURFACE))
+    for k in range(KEEP):
+        # Others are refined as well where they are nearly as likely, or where the first led nowhere.
+        if not likelihoods[k] > (likelihoods[0] - SECOND_CHANCE if promise < SETTLED else -np.inf):
+            continue
+        sigma_[:] = first_sigma
+        surface[:] = stack.surface_mean
+        for t in range(n):
+            for j in range(1, 3):
+                surface[t, j] = planes[k, t, j]
+        done, promised, cost = reweight(
+            stack,
+            usable,
+            rotations[k],
+            shifts[k],
+            surface,
+            sigma_,
+            weights_,
+            across_,
+            information_,
+            without_,
+            noise_,
+        )
+        iterations += done
+        if cost < best:
+            best, promise = cost, promised
+            rotation[:], shift[:], weights[:], across[:] = rotations[k], shifts[k], weights_, across_
+            sigma_px[:], information[:], without_depth[:], noise[:] = sigma_, information_, without_, noise_
+    return iterations, promise
+
+
+@kernel
+def _seed(stack: Stack, usable: BoolArray, picks: FloatArray, weights: FloatArray, sigma_px: FloatArray) -> None:
+    """Each term's matches that one motion can explain: weights (N,) of 1 or 0, and their noise (T,)."""
+    n, n_matches = stack.focal.shape[0], stack.x.shape[0]
+    x, y, index = np.empty((n_matches, 2)), np.empty((n_matches, 2)), np.empty(n_matches, np.int64)
+    mine, wide = np.empty(n_matches), np.empty(n_matches)
+    lower, upper = SEED_SIGMA_PX
+    usual, known = 0.0, 0
+    for t in range(n):
+        count = 0
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            weights[i] = 0.0
+            if usable[i]:
+                x[count, 0], x[count, 1] = stack.x[i, 0], stack.x[i, 1]
+                y[count, 0], y[count, 1] = stack.y[i, 0], stack.y[i, 1]
+                index[count] = i
+                count += 1
+        rms = hyperplane_inliers(x[:count], y[:count], SEED_PX / stack.focal[t], picks, mine[:count])
+        kept = 0
+        for k in range(count):
+            kept += mine[k] > 0.0
+        bound = upper
+        if count >= 12 and kept < SEED_SHARE * count:
+            # Outliers, or noise: a wider band tells.
+            wide_rms = hyperplane_inliers(
+                x[:count], y[:count], SEED_WIDE * SEED_PX / stack.focal[t], picks, wide[:count]
+            )
+            wide_kept = 0
+            for k in range(count):
+                wide_kept += wide[k] > 0.0
+            if wide_kept > SEED_MAJORITY * count:
+                mine[:count], rms, bound = wide[:count], wide_rms, SEED_WIDE * upper
+        kept = 0
+        for k in range(count):
+            weights[index[k]] = mine[k]
+            kept += mine[k] > 0.0
+        sigma_px[t] = 0.0
+        if kept >= 8:
+            # The hyperplane spans both frames' coordinates, as Sampson's distance does.
+            sigma_px[t] = min(max(rms * stack.focal[t], lower), bound)
+            usual += sigma_px[t]
+            known += 1
+    for t in range(n):
+        if sigma_px[t] == 0.0:
+            sigma_px[t] = usual / known if known > 0 else 1.0

@@ -1,0 +1,220 @@
+"""The terms of one motion problem: what each camera saw between a reference frame and the current one.
+
+A **term** is the matches of one camera between two frames. All terms share one pair of unknowns, the motion
+X_j = R (X_i - g) + g + d about the object's centre g. With a1 = (camera's centre at frame i) - g and a2 = (the same at
+frame j) - g, in the world's axes, a feature of inverse depth ρ on the ray x is seen in frame j along
+
+    y ~ R x + ρ τ,      τ = R a1 - a2 + d
+
+A static camera has a1 = a2. When the reference is not the frame that the motion starts from, the known motion between the
+two moves the camera instead, so several references are more terms of the same problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.compiled import kernel
+from sylpose.rig import nearest_point_to_rays
+
+__all__ = ["SURFACE", "Stack", "TermData", "object_place", "stack_terms"]
+
+
+# Unknowns of a term's surface: the inverse depth, in units of that of g, is α·(1, p, q, p², pq, q²) with (p, q) the place in
+# the image, from the anchor and in units of the spread.
+SURFACE = 6
+# What is believed of it before anything is measured, in radii of the object (`object_place`). Bodies are something between
+# flat, at g, and a sphere about g, whose visible side bulges towards the camera by 0.34 and lies 0.72 nearer: half of
+# that, give or take half. Beyond that, offset and curvatures scatter by so much, ...
+BULGE, OFFSET_PER_BULGE = 0.15, 2.1
+OFFSET_SD, CURVATURE_SD = 0.3, 0.12
+# ... slopes by this, with Cauchy's tails, since a plane may be seen at a grazing angle, and the relief about it all is
+SLOPE_SD = 0.4
+RELIEF_SD = 0.25
+# A first look takes a plane through the visible side alone, and all else for relief.
+PLANE_OFFSET, PLANE_OFFSET_SD, PLANE_SLOPE_SD, PLANE_RELIEF_SD = 0.3, 0.3, 1.0, 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class TermData:
+    """The matches of one camera between one reference frame and the current frame.
+
+    Attributes:
+        camera: index in the rig.
+        x, y: (n, 2) normalised points in the reference and in the current frame.
+        rotation: (3, 3) Q of camera_from_world.
+        center: (3,) the camera's centre, world.
+        focal: pixels per normalised unit.
+        base_from_reference: moves the object from where it was in the reference frame to the frame that the motion
+            starts from; None for that frame itself.
+    """
+
+    camera: int
+    x: FloatArray
+    y: FloatArray
+    rotation: FloatArray
+    center: FloatArray
+    focal: float
+    base_from_reference: RigidTransform | None = None
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def subset(self, index: BoolArray | IntArray) -> TermData:
+        """The matches that a mask or an index array picks."""
+        return replace(self, x=self.x[index], y=self.y[index])
+
+    @cached_property
+    def center_x(self) -> FloatArray:
+        """(3,) the camera's centre seen from the object at the motion's start."""
+        if self.base_from_reference is None:
+            return self.center
+        return np.asarray(self.base_from_reference.apply(self.center))
+
+    @cached_property
+    def rotation_x(self) -> FloatArray:
+        """(3, 3) Q of the camera that the object, at the motion's start, sees the reference frame from."""
+        if self.base_from_reference is None:
+            return self.rotation
+        return np.asarray(self.rotation @ self.base_from_reference.rotation.as_matrix().T)
+
+
+class Stack(NamedTuple):
+    """All terms of one problem as arrays, for the compiled solver (T terms, N matches in all).
+
+    Attributes:
+        x, y: (N, 2) normalised points, term after term.
+        offsets: (T + 1,) term t has the matches offsets[t] to offsets[t + 1].
+        qx, qy: (T, 3, 3) rotation of the camera in the reference frame and now.
+        a1, a2: (T, 3) its centre, relative to g.
+        anchor: (T, 2) g in the image of the reference frame: where the surface is anchored.
+        spread: (T,) half of the object's radius there: about the median distance of its points from the anchor.
+        inverse_depth: (T,) of g in the reference frame.
+        surface_mean: (T, 6), surface_information: (T, 6, 6) prior of the surface (`SURFACE`).
+        relief: (T,) prior standard deviation of the inverse depth about that surface, in units of g's.
+        plane_mean, plane_sd: (T, 3), plane_relief: (T,) the same of a plane, for a first look.
+        focal: (T,) pixels per normalised unit.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    offsets: IntArray
+    qx: FloatArray
+    qy: FloatArray
+    a1: FloatArray
+    a2: FloatArray
+    anchor: FloatArray
+    spread: FloatArray
+    inverse_depth: FloatArray
+    surface_mean: FloatArray
+    surface_information: FloatArray
+    relief: FloatArray
+    plane_mean: FloatArray
+    plane_sd: FloatArray
+    plane_relief: FloatArray
+    focal: FloatArray
+
+
+def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> Stack:
+    """Stack terms, each with a match at least.
+
+    Args:
+        center: (3,) g.
+        radius: of the object, length units.
+    """
+    x, y = (np.ascontiguousarray(np.concatenate(part)) for part in zip(*((t.x, t.y) for t in data), strict=True))
+    offsets = _offsets(data)
+    qx, qy = np.array([term.rotation_x for term in data]), np.array([term.rotation for term in data])
+    a1, a2 = np.array([term.center_x for term in data]) - center, np.array([term.center for term in data]) - center
+    place = -np.einsum("tij,tj->ti", qx, a1)
+    depth = np.maximum(np.abs(place[:, 2]), 1e-12)
+    # An object that reaches to its camera: its depth is bounded as well as can be.
+    share = np.minimum(radius / depth, 1.0)
+    spread = 0.5 * share
+    extra = _place_variance(a1)
+    bulge = np.array([OFFSET_PER_BULGE, 0.0, 0.0, -1.0, 0.0, -1.0]) * BULGE
+    scatter = np.array([OFFSET_SD, 0.0, 0.0, CURVATURE_SD, CURVATURE_SD, CURVATURE_SD])
+    # In radii; slopes, which are per spread, come on their own.
+    covariance = np.outer(bulge, bulge) + np.diag(scatter**2 + np.array([0, 1, 1, 0, 0, 0]))
+    information = np.linalg.inv(covariance + extra[:, None, None] * np.diag(np.eye(SURFACE)[0]))
+    scale = np.repeat(1.0 / share[:, None], SURFACE, axis=1)
+    scale[:, 1:3] = 1.0 / (SLOPE_SD * spread[:, None])
+    plane_mean = np.zeros((len(data), 3))
+    plane_mean[:, 0] = 1.0 + PLANE_OFFSET * share
+    plane_offset_sd = np.sqrt(PLANE_OFFSET_SD**2 + extra) * share
+    return Stack(
+        x=x,
+        y=y,
+        offsets=offsets,
+        qx=qx,
+        qy=qy,
+        a1=a1,
+        a2=a2,
+        anchor=place[:, :2] / depth[:, None],
+        spread=spread,
+        inverse_depth=1.0 / depth,
+        surface_mean=np.eye(1, SURFACE) + share[:, None] * bulge,
+        surface_information=information * scale[:, :, None] * scale[:, None, :],
+        relief=RELIEF_SD * share,
+        plane_mean=plane_mean,
+        plane_sd=np.column_stack([plane_offset_sd, PLANE_SLOPE_SD * spread, PLANE_SLOPE_SD * spread]),
+        plane_relief=PLANE_RELIEF_SD * share,
+        focal=np.array([term.focal for term in data]),
+    )
+
+
+def _place_variance(a1: FloatArray) -> FloatArray:
+    """(T,) how much worse than its offset's scatter each term's depth of g is known, in squares of the object's radius.
+
+    g is where the terms' median rays meet, each of which misses the object's centre by `OFFSET_SD` radii or so. Cameras
+    close together, seen from the object, magnify that. Those in one place tell nothing of it, and nothing is assumed.
+    """
+    rays = a1 / np.maximum(np.linalg.norm(a1, axis=1, keepdims=True), 1e-300)
+    values, vectors = np.linalg.eigh((np.eye(3) - rays[:, :, None] * rays[:, None, :]).sum(axis=0))
+    # Cameras on opposite sides have it between them.
+    if not values[0] > 1e-5 or np.linalg.norm(rays.mean(axis=0)) < 0.5:
+        return np.zeros(len(a1))
+    return np.asarray(OFFSET_SD**2 * ((rays @ vectors) ** 2 * np.maximum(1.0 / values - 1.0, 0.0)).sum(axis=1))
+
+
+def object_place(data: Sequence[TermData]) -> tuple[FloatArray, float]:
+    """Where the object is and how large, from the matched points of the reference frame.
+
+    Returns:
+        center (3,), the point nearest to the rays through each camera's median point (at distance 1 with one camera);
+        radius, length units: twice the median distance of points from it.
+    """
+    anchor, spread = np.empty((len(data), 2)), np.empty(len(data))
+    _medians(np.ascontiguousarray(np.concatenate([term.x for term in data])), _offsets(data), anchor, spread)
+    turns = np.array([term.rotation_x for term in data])
+    centers = np.array([term.center_x for term in data])
+    rays = np.einsum("ti,tij->tj", np.column_stack([anchor, np.ones(len(data))]), turns)
+    center = nearest_point_to_rays(centers, rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    depths = np.abs(np.einsum("tj,tj->t", turns[:, 2], center - centers))
+    radius = 2.0 * float(np.average(spread * depths, weights=[len(term) for term in data]))
+    return center, max(radius, 1e-6 * float(np.mean(depths)))
+
+
+def _offsets(data: Sequence[TermData]) -> IntArray:
+    return np.cumsum([0, *(len(term) for term in data)], dtype=np.int64)
+
+
+@kernel
+def _medians(x: FloatArray, offsets: IntArray, anchor: FloatArray, spread: FloatArray) -> None:
+    """Each term's median point (T, 2), and the median distance (T,) of its points from it."""
+    for t in range(spread.shape[0]):
+        mine = x[offsets[t] : offsets[t + 1]]
+        far = np.empty(len(mine))
+        for a in range(2):
+            far[:] = mine[:, a]
+            anchor[t, a] = np.median(far)
+        for i in range(len(mine)):
+            far[i] = np.sqrt((mine[i, 0] - anchor[t, 0]) ** 2 + (mine[i, 1] - anchor[t, 1]) ** 2)
+        spread[t] = np.median(far)

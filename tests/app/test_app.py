@@ -1,0 +1,250 @@
+"""Tracking from live cameras and growing folders, cameras' offsets and lost objects, as a user asks for them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from sylpose.app import text
+from sylpose.app.run import Run, track_session
+from sylpose.capture import live, open_session
+from sylpose.capture.streams import Grab
+from sylpose.cli import main
+from sylpose.numerics.arrays import Image
+from sylpose.report.files import read_trajectory
+from sylpose.results import Status, Trajectory
+from sylpose.sync.offsets import load_offsets
+from tests.conftest import FRAMES
+
+CAMERAS = ("cam_0", "cam_1", "cam_2")
+
+
+def images(path: Path) -> list[Image]:
+    with av.open(str(path)) as video:
+        return [np.asarray(frame.to_ndarray(format="bgr24"), np.uint8) for frame in video.decode(video=0)]
+
+
+def wrong(capsys: pytest.CaptureFixture[str], *args: object) -> str:
+    """The one sentence that a command is refused with."""
+    capsys.readouterr()
+    assert main([str(arg) for arg in args]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    return line
+
+
+# --- statuses ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_summary_counts_what_was_measured(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = track_session(open_session(recording), tmp_path, stop=6, overlay=False)
+    frames = [*run.trajectory]
+    frames[3] = replace(frames[3], status=Status.COASTING)
+    frames[4] = replace(frames[4], status=Status.LOST, world_from_object=None)
+    frames[5] = replace(frames[5], status=Status.RELOCALISED)
+    said = Run({"object": Trajectory(frames, run.trajectory.camera_names)}, run.files, (), run.seconds)
+    text.print_summary(text.make_console(), said, 6)
+    assert "4 of 6 frames (1 relocalised), coasting 1, lost 1" in capsys.readouterr().out
+
+
+def test_images_without_times_are_tracked(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in CAMERAS:
+        (session / name).mkdir()
+        for k, image in enumerate(images(session / f"{name}.mp4")[:4]):
+            cv2.imwrite(str(session / name / f"{k}.bmp"), image)
+        (session / f"{name}.mp4").unlink()
+    assert main(["track", str(session), "--no-overlay", "--smooth"]) == 0
+    assert len(read_trajectory(session / "sylpose" / "trajectory.csv")) == 4
+    assert "4 of 4 frames" in capsys.readouterr().out
+
+
+def test_what_is_said_of_a_frame_is_said_aloud(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sylpose.tracking.tracker.is_ambiguous", lambda *_: True)
+    run = track_session(replace(open_session(recording), _boxes={}), tmp_path, stop=6, overlay=False)
+    assert any("something else moved nearly as much" in problem for problem in run.problems)
+
+
+# --- offsets ----------------------------------------------------------------------------------------------------------
+
+
+def test_offsets_of_cameras_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "offsets.toml"
+    path.write_text("cam_0 = 0.0042\n2 = -1\n")
+    assert load_offsets(path, CAMERAS) == {"cam_0": 0.0042, "cam_2": -1.0}
+    for content, words in (
+        ("cam_9 = 1", "cam_9 is no camera"),
+        ("cam_0 = true", "cam_0 must be a number of seconds, got True"),
+        ('cam_0 = "1"', "cam_0 must be a number of seconds, got '1'"),
+        ("cam_0 = nan", "number of seconds"),
+        ("[cam_0]\nx = 1", "number of seconds"),
+        ("cam_0", "cam_0 = 0.0042 are expected"),
+    ):
+        path.write_text(content)
+        with pytest.raises(ValueError, match=f"offsets.toml: .*{words}"):
+            load_offsets(path, CAMERAS)
+
+
+def test_offsets_change_the_result(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    track = ("track", str(session), "--no-overlay", "--stop", "5")
+    assert main([*track, "--out", str(tmp_path / "none")]) == 0
+    (tmp_path / "given.toml").write_text("cam_1 = 0.01\n")
+    assert main([*track, "--offsets", str(tmp_path / "given.toml"), "--out", str(tmp_path / "given")]) == 0
+    (session / "offsets.toml").write_text("cam_1 = 0.01\n")
+    assert main([*track, "--out", str(tmp_path / "found")]) == 0
+    none, given, found = ((tmp_path / name / "trajectory.csv").read_bytes() for name in ("none", "given", "found"))
+    assert found == given != none
+    (session / "offsets.toml").write_text("cam_7 = 0.01\n")
+    assert "cam_7 is no camera" in wrong(capsys, *track)
+    assert "nowhere.toml: no such file" in wrong(capsys, *track, "--offsets", tmp_path / "nowhere.toml")
+
+
+def test_offsets_need_times(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in CAMERAS:
+        (session / name).mkdir()
+        cv2.imwrite(str(session / name / "0.png"), images(session / f"{name}.mp4")[0])
+        (session / f"{name}.mp4").unlink()
+    (session / "offsets.toml").write_text("cam_1 = 0.01\n")
+    assert "only the order of the frames is known" in wrong(capsys, "track", session)
+
+
+# --- live -------------------------------------------------------------------------------------------------------------
+
+
+class Player:
+    """A camera that plays a video in its own time, over and over if asked to."""
+
+    def __init__(self, frames: list[Image], forever: bool = False, missing: int = -1) -> None:
+        self._frames, self._forever, self._missing, self._next = frames, forever, missing, 0
+        self._start = time.monotonic()
+
+    def read(self) -> Grab | None:
+        while self._next == self._missing:
+            self._next += 1
+        if self._next >= len(self._frames) and not self._forever:
+            return None
+        time.sleep(max(0.0, self._start + self._next / 5 - time.monotonic()))
+        k = self._next % (2 * len(self._frames) - 2)
+        image = self._frames[min(k, 2 * len(self._frames) - 2 - k)]
+        self._next += 1
+        return Grab((image.shape[1], image.shape[0]), lambda: image)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def cameras(session: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, bool]:
+    """A session of live cameras that play the recording; whether they do so forever."""
+    sources = "".join(f"{name} = {c}\n" for c, name in enumerate(CAMERAS))
+    (session / "live.toml").write_text(f"max_delay = 0.5\nrate = 5\n[sources]\n{sources}")
+    played = {c: images(session / f"{name}.mp4") for c, name in enumerate(CAMERAS)}
+    how = {"forever": False}
+
+    def opener(source: int | str, *_: object) -> Player:
+        return Player(played[int(source)], how["forever"], missing=6 if source == 1 else -1)
+
+    monkeypatch.setattr(live, "open_live", partial(live.open_live, opener=opener))
+    monkeypatch.setattr(live, "PAUSES", ())
+    return how
+
+
+@pytest.mark.usefixtures("cameras")
+def test_live_cameras_are_tracked_to_their_end(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["track", str(session)]) == 0
+    said = capsys.readouterr()
+    assert "session: 3 cameras, live at 5 per second" in said.out
+    assert "Left out in all: frame" in said.out
+    assert "without cam_1" in said.out
+    out = session / "sylpose"
+    assert {file.name for file in out.iterdir()} == {"trajectory.tum", "trajectory.csv", "report.png", "overlay.mp4"}
+    trajectory = read_trajectory(out / "trajectory.csv")
+    assert len(trajectory) >= FRAMES - 2
+    assert trajectory.solved.mean() > 0.8
+
+
+def test_ctrl_c_ends_live_cameras_with_all_files(
+    session: Path, cameras: dict[str, bool], capsys: pytest.CaptureFixture[str]
+) -> None:
+    cameras["forever"] = True
+    csv = session / "sylpose" / "trajectory.csv"
+
+    def interrupt() -> None:
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and not (csv.exists() and csv.read_text().count("\n") > 3):
+            time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    try:
+        assert main(["track", str(session), "--no-overlay", "--features", "sift"]) == 0
+    finally:
+        thread.join()
+        signal.signal(signal.SIGINT, before)
+    assert "Tracked" in capsys.readouterr().out
+    assert len(read_trajectory(csv)) >= 3
+    assert (session / "sylpose" / "report.png").exists()
+
+
+@pytest.mark.usefixtures("cameras")
+def test_what_live_cameras_cannot_do(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--resume: a live session" in wrong(capsys, "track", session, "--resume")
+    assert "--offset" in wrong(capsys, "track", session, "--offset", "cam_0=1")
+    assert "lossless" in wrong(capsys, "track", session, "--lossless")
+    (session / "live.toml").write_text("[sources]\ncam_0 = 0\n")
+    assert "live.toml" in wrong(capsys, "track", session)
+    (session / "live.toml").unlink()
+    assert "--rate is only for growing folders" in wrong(capsys, "track", session, "--rate", 5)
+    (session / "live.toml").write_text("[sources]\n" + "".join(f"{n} = {c}\n" for c, n in enumerate(CAMERAS)))
+    opened = live.open_live(session)
+    with pytest.raises(ValueError, match="live session cannot be resumed"):
+        track_session(opened, resume=True)
+
+
+def test_a_growing_folder_is_tracked_as_it_grows(session: Path, tmp_path: Path) -> None:
+    played = {name: images(session / f"{name}.mp4") for name in CAMERAS}
+    for name in CAMERAS:
+        (session / f"{name}.mp4").unlink()
+        (session / name).mkdir()
+    command = [sys.executable, "-m", "sylpose", "track", str(session), "--follow", "--lossless", "--rate", "30"]
+    process = subprocess.Popen([*command, "--out", str(tmp_path / "out")], stdout=subprocess.PIPE, text=True)
+    for k in range(FRAMES):
+        for name in CAMERAS:
+            cv2.imwrite(str(session / name / "writing.bmp"), played[name][k])
+            (session / name / "writing.bmp").rename(session / name / f"{k:03d}.png")
+        time.sleep(0.05)
+    (session / "DONE").touch()
+    out, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    assert f"of {FRAMES} frames" in out
+    trajectory = read_trajectory(tmp_path / "out" / "trajectory.csv")
+    assert [frame.index for frame in trajectory] == list(range(FRAMES))
+    assert trajectory.times[-1] == pytest.approx((FRAMES - 1) / 30)
+
+
+# --- start-up ---------------------------------------------------------------------------------------------------------
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys\nfrom sylpose.cli import main\nmain(['track', '-h'])\n"
+        "print(sorted({'numpy', 'cv2', 'av', 'matplotlib', 'scipy', 'numba', 'rich.console'} & set(sys.modules)))"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.splitlines()[-1] == "[]"

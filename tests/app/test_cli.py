@@ -1,0 +1,709 @@
+"""The command line: what it writes and says, its exit codes, bad input and interrupts."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import sylpose
+from sylpose import calibration
+from sylpose.app import check as checks
+from sylpose.app import demo
+from sylpose.app.run import track_session
+from sylpose.app.text import length
+from sylpose.capture import Session, open_session
+from sylpose.cli import main
+from sylpose.frames import FrameSet
+from sylpose.methods import FEATURES, METHODS
+from sylpose.report.files import read_trajectory, read_tum
+from sylpose.report.rigview import meeting_point
+from sylpose.rig import Camera, Rig, camera_at
+from sylpose.tracking.frame_solvers import SOLVERS
+from sylpose.tracking.tracker import TrackedFrame, Tracker
+from tests.conftest import FRAMES
+from tests.where import DATA
+
+OUTPUTS = {"trajectory.tum", "trajectory.csv", "report.png", "overlay.mp4"}
+
+
+class Result:
+    """Exit code and what was said."""
+
+    def __init__(self, code: int, out: str, err: str) -> None:
+        self.code, self.out, self.err = code, out, err
+
+
+Command = Callable[..., Result]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Command:
+    """Runs a command in this process."""
+
+    def command(*args: object) -> Result:
+        capsys.readouterr()
+        code = main([str(arg) for arg in args])
+        return Result(code, *capsys.readouterr())
+
+    return command
+
+
+def one_sentence(result: Result) -> str:
+    """What a refused command said: one line, no traceback, exit code 2."""
+    assert result.code == 2, result.out + result.err
+    lines = result.err.strip().splitlines()
+    assert len(lines) == 1, result.err
+    assert lines[0].startswith("sylpose: ")
+    return lines[0]
+
+
+def rewrite_calibration(session: Path, change: Callable[[str], str]) -> None:
+    path = session / "calibration.toml"
+    path.write_text(change(path.read_text()))
+
+
+def subset(session: Path, names: list[str]) -> None:
+    """Leaves only some cameras in a session."""
+    rig = calibration.load(session / "calibration.toml")
+    calibration.save(rig.subset(names), session / "calibration.toml")
+    for name in set(rig.names) - set(names):
+        (session / f"{name}.mp4").unlink()
+    (session / "boxes.toml").unlink()
+
+
+def remux(source: Path, target: Path, frames: int | None = None, **options: str) -> None:
+    """Copies a video's packets, all or the first few."""
+    with av.open(str(source)) as a, av.open(str(target), "w", options=options) as b:
+        stream = b.add_stream_from_template(a.streams.video[0])
+        packets = [p for p in a.demux(a.streams.video[0]) if p.dts is not None]
+        for packet in packets[:frames]:
+            packet.stream = stream
+            b.mux(packet)
+
+
+def cut_video(path: Path, share: float) -> None:
+    """As a recorder that lost power leaves it: what the file says of itself at its front, a part of its frames."""
+    whole = path.with_suffix(".tmp.mp4")
+    remux(path, whole, movflags="faststart")
+    path.write_bytes(whole.read_bytes()[: int(share * whole.stat().st_size)])
+    whole.unlink()
+
+
+def n_video_frames(path: Path) -> int:
+    with av.open(str(path)) as container:
+        return sum(1 for _ in container.decode(video=0))
+
+
+# --- tracking --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def tracked(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """The whole command in a process of its own, once: its folder of outputs and what it said."""
+    out = tmp_path_factory.mktemp("out")
+    done = subprocess.run(
+        [sys.executable, "-m", "sylpose", "track", str(recording), "--out", str(out)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return out, done
+
+
+def test_track_writes_all_files(tracked: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    out, done = tracked
+    assert done.returncode == 0, done.stderr
+    assert {file.name for file in out.iterdir()} == OUTPUTS
+    trajectory = read_trajectory(out / "trajectory.csv")
+    assert [frame.index for frame in trajectory] == list(range(FRAMES))
+    times, poses = read_tum(out / "trajectory.tum")
+    assert len(times) == int(trajectory.solved.sum()) >= FRAMES - 2
+    assert np.allclose(np.diff(times), 1 / 30) or len(times) < FRAMES
+    assert np.allclose(poses[0].rotation.as_matrix(), np.eye(3))
+    assert n_video_frames(out / "overlay.mp4") == FRAMES
+    with av.open(str(out / "overlay.mp4")) as video:
+        assert video.streams.video[0].average_rate == 30
+    assert cv2.imread(str(out / "report.png")) is not None
+
+
+def test_track_says_what_it_found(tracked: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    out, done = tracked
+    assert re.search(rf"Tracked +\d+ of {FRAMES} frames", done.stdout)
+    for words in (
+        "Turned",
+        "Moved",
+        "cam_0",
+        "cam_2",
+        "frames/s",
+        "tracking",
+        *(str(out / f) for f in OUTPUTS),
+    ):
+        assert words in done.stdout
+    assert "mm" in done.stdout
+
+
+def test_track_is_quiet_and_plain_without_a_terminal(tracked: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    _, done = tracked
+    assert done.stderr == ""
+    assert "\x1b" not in done.stdout
+    assert all(line == line.rstrip() for line in done.stdout.splitlines())
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a pseudo-terminal")
+def test_track_shows_progress_on_a_terminal(recording: Path, tmp_path: Path) -> None:
+    leader, follower = os.openpty()
+    command = [sys.executable, "-m", "sylpose", "track", str(recording), "--stop", "4", "--no-overlay"]
+    process = subprocess.Popen([*command, "--out", str(tmp_path)], stdout=follower, stderr=follower)
+    os.close(follower)
+    said = b""
+    while True:
+        try:
+            part = os.read(leader, 65536)
+        except OSError:  # Linux's way to say that the other side is closed
+            break
+        if not part:
+            break
+        said += part
+    os.close(leader)
+    assert process.wait() == 0
+    for words in ("Tracking", "3 cameras", "frames/s", "inliers", "/4"):
+        assert words in said.decode()
+
+
+def test_out_is_in_the_session_by_default_and_old_files_go(run: Command, session: Path) -> None:
+    out = session / "sylpose"
+    out.mkdir()
+    (out / "overlay.mp4").write_bytes(b"of an earlier run")
+    result = run("track", session, "--start", 2, "--stop", 9, "--every", 3, "--no-overlay")
+    assert result.code == 0, result.err
+    assert {file.name for file in out.iterdir()} == OUTPUTS - {"overlay.mp4"}
+    assert [frame.index for frame in read_trajectory(out / "trajectory.csv")] == [2, 5, 8]
+    assert "boxes are taken to be of frame 2" in result.out
+    assert run("check", session).code == 0  # the outputs are not taken for cameras
+
+
+def test_every_slows_the_overlay_down(run: Command, recording: Path, tmp_path: Path) -> None:
+    assert run("track", recording, "--every", 3, "--out", tmp_path).code == 0
+    assert n_video_frames(tmp_path / "overlay.mp4") == 4
+    with av.open(str(tmp_path / "overlay.mp4")) as video:
+        assert video.streams.video[0].average_rate == 10
+
+
+@pytest.mark.parametrize("method", ["epipolar", "sylvester", "known-depth"])  # test_tracking has them all
+def test_other_methods_can_be_chosen(run: Command, recording: Path, tmp_path: Path, method: str) -> None:
+    result = run("track", recording, "--stop", 3, "--no-overlay", "--method", method, "--out", tmp_path)
+    assert result.code in (0, 1), result.err
+    assert len(read_trajectory(tmp_path / "trajectory.csv")) == 3
+
+
+def test_single_camera_is_tracked_and_scale_is_said(run: Command, session: Path) -> None:
+    subset(session, ["cam_1"])
+    (session / "boxes.toml").write_text(f"cam_1 = {box_of(session, 'cam_1')}\n")
+    result = run("track", session, "--no-overlay", "--stop", 6)
+    assert result.code == 0, result.err
+    assert "not observable with one camera" in result.out
+    assert "first distances" in result.out
+    assert read_trajectory(session / "sylpose" / "trajectory.csv").unit == "first distances"
+
+
+def box_of(session: Path, name: str) -> list[int]:
+    """The object's box in the first frame, from the truth."""
+    camera = calibration.load(session / "calibration.toml")[name]
+    _, poses = read_tum(session / "groundtruth.tum")
+    depth = camera.camera_from_world.apply(poses[0].translation)[2]
+    half = 0.11 * camera.focal / depth
+    x, y = camera.project(poses[0].translation)[0]
+    return [int(x - half), int(y - half), int(2 * half), int(2 * half)]
+
+
+def test_nothing_found_is_exit_code_1(run: Command, session: Path) -> None:
+    (session / "boxes.toml").unlink()
+    still = cv2.cvtColor(np.random.default_rng(0).integers(0, 255, (240, 320), np.uint8), cv2.COLOR_GRAY2BGR)
+    for name in ("cam_0", "cam_1", "cam_2"):
+        (session / f"{name}.mp4").unlink()
+        (session / name).mkdir()
+        for k in range(3):
+            cv2.imwrite(str(session / name / f"{k}.png"), still)
+    result = run("track", session)
+    assert result.code == 1
+    assert "no frame could be solved" in result.err
+    assert "--boxes" in result.err
+    assert {file.name for file in (session / "sylpose").iterdir()} == OUTPUTS
+    with av.open(str(session / "sylpose" / "overlay.mp4")) as video:
+        assert video.streams.video[0].average_rate == 2
+
+
+# --- what is computed is kept ----------------------------------------------------------------------------------------
+
+
+def endless(session: Path, n: int = 1000) -> None:
+    """Turns a session into folders of n images that play the videos forth and back."""
+    order = [*range(FRAMES), *range(FRAMES - 2, 0, -1)]
+    for name in ("cam_0", "cam_1", "cam_2"):
+        folder = session / name
+        folder.mkdir()
+        with av.open(str(session / f"{name}.mp4")) as video:
+            for k, frame in enumerate(video.decode(video=0)):
+                cv2.imwrite(str(folder / f"{k}.bmp"), frame.to_ndarray(format="bgr24"))
+        (session / f"{name}.mp4").unlink()
+        for k in range(FRAMES, n):
+            os.link(folder / f"{order[k % len(order)]}.bmp", folder / f"{k}.bmp")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_interrupt_keeps_what_is_computed(session: Path, how: signal.Signals) -> None:
+    endless(session)
+    out = session / "sylpose"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sylpose", "track", str(session)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell that starts tests in the background lets its children ignore it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and process.poll() is None:
+        if (out / "trajectory.csv").exists() and (out / "trajectory.csv").read_text().count("\n") > 4:
+            break
+        time.sleep(0.02)
+    process.send_signal(how)
+    _, err = process.communicate(timeout=60)
+    for name in ("trajectory.csv", "trajectory.tum"):
+        assert (out / name).read_text().endswith("\n")
+    trajectory = read_trajectory(out / "trajectory.csv")
+    assert [frame.index for frame in trajectory] == list(range(len(trajectory)))
+    assert 4 <= len(trajectory) < 1000
+    assert len(read_tum(out / "trajectory.tum")[0]) in (trajectory.solved.sum(), trajectory.solved.sum() - 1)
+    if how == signal.SIGINT:
+        assert process.returncode == 130
+        (sentence,) = err.strip().splitlines()
+        said = re.fullmatch(r"sylpose: interrupted after (\d+) of 1000 frames; what was computed is in (.*)", sentence)
+        assert said is not None
+        assert len(trajectory) == int(said[1])
+        assert said[2] == str(out)
+        assert cv2.imread(str(out / "report.png")) is not None
+        assert len(trajectory) == n_video_frames(out / "overlay.mp4")
+
+
+def test_a_bug_keeps_what_is_computed_and_its_traceback(
+    run: Command, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    step = Tracker.step
+
+    def breaks(self: Tracker, frames: FrameSet) -> list[TrackedFrame]:
+        if frames.index == 3:
+            raise np.linalg.LinAlgError("a ValueError, but a bug")
+        return step(self, frames)
+
+    monkeypatch.setattr(Tracker, "step", breaks)
+    with pytest.raises(np.linalg.LinAlgError):
+        run("track", recording, "--out", tmp_path)
+    assert f"stopped after 3 of 12 frames; what was computed is in {tmp_path}" in capsys.readouterr().err
+    assert len(read_trajectory(tmp_path / "trajectory.csv")) == 3
+    assert n_video_frames(tmp_path / "overlay.mp4") == 3
+    assert (tmp_path / "report.png").exists()
+
+
+def test_an_overlay_that_fails_is_said(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Command
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError("cannot write overlay.mp4: no space left on device")
+
+    monkeypatch.setattr("sylpose.report.overlay.OverlayWriter.write", full)
+    result = run("track", recording, "--out", tmp_path)
+    assert result.code == 2
+    assert "overlay.mp4: no space left" in result.err
+    assert len(read_trajectory(tmp_path / "trajectory.csv")) >= 1
+    assert (tmp_path / "report.png").exists()
+
+
+def test_truncated_video_is_tracked_and_said(run: Command, session: Path) -> None:
+    cut_video(session / "cam_1.mp4", 0.6)
+    result = run("track", session, "--no-overlay")
+    assert result.code == 0, result.err
+    assert re.search(r"cam_1: cam_1.mp4 breaks off after \d+ of 12 frames", result.out)
+    trajectory = read_trajectory(session / "sylpose" / "trajectory.csv")
+    assert len(trajectory) == FRAMES
+    assert trajectory[-1].inliers[1] == 0
+
+
+def test_track_session_from_python(recording: Path, tmp_path: Path) -> None:
+    seen: list[int] = []
+    result = track_session(
+        open_session(recording), tmp_path, stop=3, overlay=False, on_frame=lambda f: seen.append(f.pose.index)
+    )
+    assert seen == [0, 1, 2]
+    assert len(result.trajectory) == 3
+    assert {file.name for file in result.files} == OUTPUTS - {"overlay.mp4"}
+    assert set(result.seconds) == {"reading", "tracking", "saving", "plots"}
+    assert min(result.seconds.values()) >= 0
+    with pytest.raises(ValueError, match="magic"):
+        track_session(open_session(recording), tmp_path, method="magic")
+    with pytest.raises(ValueError, match="start"):
+        track_session(open_session(recording), tmp_path / "new", start=99)
+    assert not (tmp_path / "new").exists()
+
+
+# --- bad input -------------------------------------------------------------------------------------------------------
+
+
+def test_no_such_folder(run: Command, tmp_path: Path) -> None:
+    assert "nowhere: no such folder" in one_sentence(run("track", tmp_path / "nowhere"))
+    assert "nowhere: no such folder" in one_sentence(run("check", tmp_path / "nowhere"))
+
+
+def test_bad_input_of_a_real_process_has_no_traceback(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "sylpose", "track", str(tmp_path)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("sylpose: ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_no_calibration_or_two(run: Command, session: Path) -> None:
+    shutil.copy(session / "calibration.toml", session / "calibration_old.toml")
+    assert "2 calibrations" in one_sentence(run("track", session))
+    (session / "calibration_old.toml").unlink()
+    (session / "calibration.toml").rename(session / "lenses.toml")
+    assert "no calibration" in one_sentence(run("track", session))
+    (session / "cam_1.mp4").rename(session / "1.mp4")
+    result = run("check", session, "--calibration", session / "lenses.toml")
+    assert result.code == 0, result.err
+    assert "cam_1 (1.mp4)" in result.out  # names are matched tolerantly, and it is said which
+
+
+def test_camera_without_video_and_video_without_camera(run: Command, session: Path) -> None:
+    (session / "cam_2.mp4").rename(session / "cam_7.mp4")
+    said = one_sentence(run("track", session))
+    assert "camera cam_2" in said
+    assert "cam_7.mp4" in said
+
+
+def test_unreadable_video(run: Command, session: Path) -> None:
+    (session / "cam_1.mp4").write_bytes(b"no video")
+    assert "cam_1.mp4" in one_sentence(run("track", session))
+
+
+def test_size_that_does_not_match(run: Command, session: Path) -> None:
+    rewrite_calibration(session, lambda text: text.replace("[320, 240]", "[640, 480]"))
+    said = one_sentence(run("track", session))
+    assert "320x240" in said
+    assert "640x480" in said
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: re.sub(r"rotation = \[[^]]*\],?", "rotation = [", text, count=1), "calibration.toml"),
+        (lambda text: re.sub(r"(\[\n +\[)[-0-9.e]+", r"\1nan", text, count=1), "cam_0"),
+        (lambda text: re.sub(r"distortion = \[[^]]*\]\n", "", text, count=1), "distortion"),
+    ],
+    ids=["not TOML", "NaN", "missing key"],
+)
+def test_broken_calibration(run: Command, session: Path, change: Callable[[str], str], words: str) -> None:
+    rewrite_calibration(session, change)
+    assert words in one_sentence(run("track", session))
+
+
+def test_rotation_that_is_none(run: Command, session: Path) -> None:
+    path = session / "calibration.json"
+    calibration.save(calibration.load(session / "calibration.toml"), path)
+    (session / "calibration.toml").unlink()
+    data = json.loads(path.read_text())
+    rotation = data["cameras"][1]["R"]
+    rotation["data"] = [2 * number for number in rotation["data"]]
+    path.write_text(json.dumps(data))
+    assert "cam_1" in one_sentence(run("track", session))
+
+
+def test_box_outside_the_image_and_boxes_that_do_not_meet(run: Command, session: Path) -> None:
+    (session / "boxes.toml").write_text("cam_0 = [280, 10, 100, 100]\n")
+    assert "cam_0" in one_sentence(run("track", session))
+    (session / "boxes.toml").write_text("cam_0 = [0, 0, 40, 40]\ncam_2 = [270, 190, 40, 40]\n")
+    assert "boxes" in one_sentence(run("track", session))
+    result = run("check", session)
+    assert "boxes" in one_sentence(result)
+    assert "Camera" in result.out  # what was understood is shown all the same
+    assert "boxes.txt" in one_sentence(run("track", session, "--boxes", session / "boxes.txt"))
+
+
+def test_empty_mask(run: Command, session: Path) -> None:
+    (session / "masks").mkdir()
+    cv2.imwrite(str(session / "masks" / "cam_0.png"), np.zeros((240, 320), np.uint8))
+    said = one_sentence(run("track", session))
+    assert "cam_0.png" in said
+    assert "empty" in said
+
+
+def test_offsets(run: Command, session: Path) -> None:
+    for wrong in ("cam_1", "cam_1=x", "=3"):
+        assert wrong in one_sentence(run("track", session, "--offset", wrong))
+    assert "cam_9" in one_sentence(run("track", session, "--offset", "cam_9=2"))
+    result = run("check", session, "--offset", "cam_1=2", "--offset", "cam_2=-1")
+    assert result.code == 0
+    assert "cam_1 has 2 to 13" in result.out
+
+
+def test_frame_counts_that_differ_are_said(run: Command, session: Path) -> None:
+    remux(session / "cam_2.mp4", session / "short.mp4", frames=8)
+    (session / "short.mp4").replace(session / "cam_2.mp4")
+    result = run("track", session, "--no-overlay", "--stop", 2)
+    assert result.code == 0, result.err
+    assert "different numbers of frames" in result.out
+    assert "cam_2 has 0 to 7" in result.out
+
+
+def test_out_that_cannot_be_written(run: Command, recording: Path, tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    for out in (file, file / "below"):
+        assert str(out) in one_sentence(run("track", recording, "--out", out))
+        assert str(out) in one_sentence(run("check", recording, "--out", out))
+    (tmp_path / "taken" / "trajectory.tum").mkdir(parents=True)
+    assert "trajectory.tum" in one_sentence(run("track", recording, "--out", tmp_path / "taken"))
+
+
+@pytest.mark.parametrize(
+    "args",
+    [("--start", "99"), ("--start", "5", "--stop", "5"), ("--every", "0"), ("--method", "magic"), ("--every", "x")],
+)
+def test_wrong_options(run: Command, recording: Path, tmp_path: Path, args: tuple[str, ...]) -> None:
+    result = run("track", recording, "--out", tmp_path / "out", *args)
+    assert result.code == 2
+    assert args[0].strip("-") in result.err
+    assert "Traceback" not in result.err
+    assert not (tmp_path / "out").exists()
+
+
+# --- check -----------------------------------------------------------------------------------------------------------
+
+
+def test_check_says_what_was_understood(run: Command, recording: Path, tmp_path: Path) -> None:
+    result = run("check", recording, "--out", tmp_path)
+    assert result.code == 0, result.err
+    for words in (
+        "3 cameras, 12 frames at 30 per second",
+        "320x240",
+        "sylpose TOML",
+        "boxes meet",
+        "cam_2",
+    ):
+        assert words in result.out
+    assert "Ready to track" in result.out
+    assert cv2.imread(str(tmp_path / "rig.png")) is not None
+
+
+@pytest.mark.parametrize("name", ["temple", "board4"])
+def test_check_of_real_recordings(run: Command, tmp_path: Path, name: str) -> None:
+    if not (DATA / name).is_dir():
+        pytest.skip(f"no recording {name} in {DATA}")
+    result = run("check", DATA / name, "--out", tmp_path)
+    assert result.code == 0, result.err
+    assert {"temple": "Anipose TOML", "board4": "Caliscope TOML"}[name] in result.out
+    assert "4 cameras" in result.out
+
+
+def look_warnings(cameras: list[Camera], unit: str = "") -> list[str]:
+    """What is said about a rig."""
+    rig = Rig(cameras, unit)
+    return checks.look_at(rig, checks.Place(meeting_point(rig), None, "the optical axes"))
+
+
+def camera(name: str, eye: tuple[float, float, float], target: tuple[float, float, float]) -> Camera:
+    return camera_at(name, eye, target, focal=500.0, size=(640, 480))
+
+
+def test_rig_without_faults_has_no_warnings() -> None:
+    origin = (0.0, 0.0, 0.0)
+    assert look_warnings([camera("a", (0, 0, -1), origin), camera("b", (1, 0, 0), origin)], "m") == []
+    # A stereo pair with parallel axes has no meeting point, and nothing wrong with it.
+    assert look_warnings([camera("a", (0, 0, 0), (0, 0, 1)), camera("b", (0.1, 0, 0), (0.1, 0, 1))]) == []
+
+
+def test_cameras_that_look_away_from_each_other() -> None:
+    cameras = [
+        camera("a", (0, 0, 1), (0, 0, 2)),
+        camera("b", (1, 0, 0), (2, 0, 0)),
+        camera("c", (0, 1, 0), (0, 2, 0.1)),
+    ]
+    (said,) = look_warnings(cameras)
+    assert "look away" in said
+    inverted = [
+        Camera(c.name, c.size, c.matrix, c.distortion, c.camera_from_world.inv())
+        for c in (camera("a", (0.3, 0.2, -1), (0, 0, 0)), camera("b", (1, 0.1, 0.2), (0, 0, 0)))
+    ]
+    (said,) = look_warnings(inverted)
+    assert "seems to hold world_from_camera" in said
+
+
+def test_one_camera_that_looks_elsewhere_is_named() -> None:
+    origin = (0.0, 0.0, 0.0)
+    cameras = [
+        camera(name, (np.sin(t), 0, -np.cos(t)), origin) for name, t in zip("abcd", (-1, -0.4, 0.3, 1), strict=True)
+    ]
+    cameras.append(camera("astray", (0, 0, -1.2), (4, 0, -1.0)))
+    (said,) = look_warnings(cameras)
+    assert said.startswith("astray:")
+
+
+def test_cameras_at_one_place_and_a_suspicious_unit() -> None:
+    origin = (0.0, 0.0, 0.0)
+    cameras = [
+        camera("a", (0, 0, -1500), origin),
+        camera("b", (0, 0.1, -1500), origin),
+        camera("c", (900, 0, 0), origin),
+    ]
+    one_place, unit = look_warnings(cameras)
+    assert "b and a" in one_place
+    assert "millimetres" in unit
+    assert not any("millimetres" in said for said in look_warnings(cameras, "mm"))
+    (alone,) = look_warnings(cameras[:1])
+    assert "One camera only" in alone
+
+
+def warned(session: Session) -> str:
+    """All that `check` says is wrong with a session."""
+    places = {name: checks.object_place(session.of(name)) for name in session.objects}
+    return " ".join([*checks.warnings(session, places), *checks.obstacles(places)])
+
+
+def test_box_that_does_not_fit_the_others_is_named(session: Path) -> None:
+    opened = open_session(session)
+    assert warned(opened) == ""
+    x, y, width, height = (getattr(opened.boxes["cam_1"], key) for key in ("x", "y", "width", "height"))
+    shifted = f"cam_1 = [{x}, {y + 0.8 * height}, {width}, {height / 4}]"
+    lines = [line for line in (session / "boxes.toml").read_text().splitlines() if "cam_1" not in line]
+    (session / "boxes.toml").write_text("\n".join([*lines, shifted]))
+    assert "cam_1" in warned(open_session(session))
+    (session / "boxes.toml").write_text(shifted)
+    assert "one camera only" in warned(open_session(session))
+
+
+# --- demo and score --------------------------------------------------------------------------------------------------
+
+
+def test_demo(run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    args = ("--frames", 6, "--turn", 8, "--cameras", 3)
+    result = run("demo", *args)
+    assert result.code == 0, result.err
+    assert "Against the truth, motion since the first of 6 frames" in result.out
+    assert {file.name for file in (tmp_path / "sylpose_demo" / "sylpose").iterdir()} >= OUTPUTS
+
+    # Again, with fewer cameras, into the same folder; a result that is not good enough is exit code 1.
+    monkeypatch.setattr(demo, "MAX_ERROR_DEG", 0.0)
+    result = run("demo", "--frames", 3, "--turn", 3, "--cameras", 2)
+    assert result.code == 1
+    assert "did not come out right" in result.err
+
+
+def test_demo_never_replaces_a_recording(run: Command, session: Path) -> None:
+    before = (session / "cam_0.mp4").read_bytes()
+    assert "not empty" in one_sentence(run("demo", "--out", session))
+    assert (session / "cam_0.mp4").read_bytes() == before
+    assert "at least 2 frames" in one_sentence(run("demo", "--out", session / "new", "--frames", 1))
+
+
+def poses(n: int, seed: int) -> RigidTransform:
+    rng = np.random.default_rng(seed)
+    return RigidTransform.from_components(rng.normal(0, 1, (n, 3)), Rotation.random(n, rng=rng))
+
+
+def test_score_does_not_depend_on_the_object_frame_and_the_rate() -> None:
+    truth, times = poses(20, 1), np.arange(20) / 10
+    elsewhere = truth * poses(1, 2)[0]
+    result = demo.score(times + 0.01, elsewhere, times, truth, [0.1, 0.2, 0.3])
+    assert result.missing == 0
+    assert max(result.rotation.max(), result.displacement.max()) < 1e-5
+    result = demo.score(times[::2], elsewhere[::2], times, truth, [0.1, 0.2, 0.3])
+    assert result.missing == 10
+
+
+def test_score_measures_turn_and_displacement_of_the_centre() -> None:
+    truth, times = poses(5, 3), np.arange(5.0)
+    center = np.array([0.4, -0.2, 1.0])
+    wrong = truth.as_matrix()
+    # The last pose is turned by 3 degrees about the true centre there, then shifted by 5 mm.
+    last_center = (truth[4] * truth[0].inv()).apply(center)
+    turn = RigidTransform.from_components(last_center, Rotation.identity()) * RigidTransform.from_rotation(
+        Rotation.from_rotvec([0, np.radians(3), 0])
+    )
+    extra = RigidTransform.from_translation([0.003, 0, 0.004]) * turn * RigidTransform.from_translation(-last_center)
+    wrong[4] = (extra * truth[4]).as_matrix()
+    result = demo.score(times, RigidTransform.from_matrix(wrong), times, truth, center)
+    assert result.rotation[-1] == pytest.approx(3.0)
+    assert result.displacement[-1] == pytest.approx(0.005)
+    assert result.rotation[:-1].max() < 1e-5
+
+
+def test_score_of_too_little() -> None:
+    truth = poses(3, 4)
+    with pytest.raises(ValueError, match="only 1 of 3"):
+        demo.score([0.0], truth[:1], [0.0, 1.0, 2.0], truth, [0, 0, 0])
+    with pytest.raises(ValueError, match="two true poses"):
+        demo.score([], truth[:0], [0.0, 1.0, 2.0], truth, [0, 0, 0])
+
+
+# --- the rest --------------------------------------------------------------------------------------------------------
+
+
+def test_calibration_convert(run: Command, recording: Path, tmp_path: Path) -> None:
+    source, target = recording / "calibration.toml", tmp_path / "calibration.yml"
+    result = run("calibration", "convert", source, target)
+    assert result.code == 0
+    assert "3 cameras" in result.out
+    for a, b in zip(calibration.load(source), calibration.load(target), strict=True):
+        assert np.array_equal(a.matrix, b.matrix)
+        assert np.array_equal(a.camera_from_world.as_matrix(), b.camera_from_world.as_matrix())
+    assert "rig.txt" in one_sentence(run("calibration", "convert", source, tmp_path / "rig.txt"))
+    assert "nowhere" in one_sentence(run("calibration", "convert", source, tmp_path / "nowhere" / "rig.toml"))
+    assert "none.toml" in one_sentence(run("calibration", "convert", tmp_path / "none.toml", target))
+
+
+def test_help_and_version(run: Command) -> None:
+    assert run("--version").out == f"sylpose {sylpose.__version__}\n"
+    for command in ((), ("track",), ("check",), ("demo",), ("calibration", "convert")):
+        result = run(*command, "-h")
+        assert result.code == 0
+        assert "Examples:" in result.out
+        assert run(*command, "--help").out == result.out
+    assert all(name in run("track", "-h").out for name in (*METHODS, *FEATURES))
+    assert tuple(SOLVERS) == METHODS
+    assert run("trakc").code == 2
+
+
+def test_lengths_are_readable() -> None:
+    assert length(0.0831, "m") == "83.1 mm"
+    assert length(1.5, "m") == "1.50 m"
+    assert length(1234.4, "mm") == "1234 mm"
+    assert length(0.0023, "") == "0.00230 units"
+    assert length(0.0, "m") == "0 mm"
+
+
+def test_import_is_light() -> None:
+    code = "import sys, sylpose; print(sorted({'numpy', 'cv2', 'av', 'matplotlib', 'scipy'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+    for name in sylpose.__all__:
+        assert getattr(sylpose, name) is not None
+        assert name in dir(sylpose)
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = sylpose.nonsense

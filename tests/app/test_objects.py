@@ -1,0 +1,145 @@
+"""Several objects in one recording: one pass over the videos, files for each, one overlay."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.app.demo import score
+from sylpose.app.run import track_session
+from sylpose.capture import open_session
+from sylpose.cli import main
+from sylpose.report.files import read_trajectory, read_tum
+from sylpose.simulate import Actor, Recording, Scene, chamfered_box, demo_scene, write_recording
+from sylpose.tracking.tracker import TrackedFrame
+
+FRAMES = 8
+TRAJECTORIES = ("trajectory.tum", "trajectory.csv")
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two painted blocks that turn otherwise, side by side; read only."""
+
+    def small(scene: Scene, by: float, seed: int) -> Actor:
+        body, path = chamfered_box([0.12, 0.1, 0.11], 600.0, seed=seed), scene.actors[0].path
+        shift = RigidTransform.from_translation([by, 0.0, 0.0])
+        return Actor(body, lambda frame: shift * path(frame))
+
+    size = (480, 360)
+    mug = demo_scene(frames=6 * FRAMES, turn_deg=90.0, size=size, n_cameras=3)
+    tray = demo_scene(frames=6 * FRAMES, turn_deg=-120.0, size=size, n_cameras=3, seed=4)
+    scene = replace(mug, actors=(small(mug, -0.1, 1), small(tray, 0.1, 2)), frames=FRAMES)
+    folder = tmp_path_factory.mktemp("two")
+    write_recording(Recording(scene, objects=("mug", "tray")), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def out(two: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files of a whole run."""
+    folder = tmp_path_factory.mktemp("out")
+    assert main(["track", str(two), "--out", str(folder)]) == 0
+    return folder
+
+
+def test_each_object_has_its_files(out: Path) -> None:
+    found = {file.relative_to(out).as_posix() for file in out.rglob("*") if file.is_file()}
+    own = ("trajectory.tum", "trajectory.csv", "report.png")
+    assert found == {"overlay.mp4", *(f"{name}/{file}" for name in ("mug", "tray") for file in own)}
+    with av.open(str(out / "overlay.mp4")) as video:
+        assert sum(1 for _ in video.decode(video=0)) == FRAMES
+
+
+@pytest.mark.parametrize("name", ["mug", "tray"])
+def test_each_object_is_where_it_is(two: Path, out: Path, name: str) -> None:
+    times, truth = read_tum(two / f"groundtruth_{name}.tum")
+    result = score(*read_tum(out / name / "trajectory.tum"), times, truth, truth[0].translation)
+    assert result.missing == 0
+    assert result.rotation.max() < 1.5
+    assert result.displacement.max() < 0.003
+
+
+def test_other_objects_make_no_difference(two: Path, out: Path, tmp_path: Path) -> None:
+    """One object alone, from the same boxes: the same files."""
+    session = Path(shutil.copytree(two, tmp_path / "session"))
+    table = re.search(r'\["tray"\]\n((?:"cam.*\n)+)', (two / "boxes.toml").read_text())
+    assert table is not None
+    (session / "boxes.toml").write_text(table[1])
+    assert main(["track", str(session), "--no-overlay"]) == 0
+    for name in TRAJECTORIES:
+        assert (session / "sylpose" / name).read_bytes() == (out / "tray" / name).read_bytes()
+
+
+def test_what_is_said(two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["track", str(two), "--out", str(tmp_path), "--stop", "3"]) == 0
+    said = capsys.readouterr().out
+    assert "2 objects: mug, tray" in said
+    assert len(re.findall("Tracked +3 of 3 frames", said)) == 2
+    assert re.search("^mug$", said, re.MULTILINE)
+    assert str(tmp_path / "tray" / "report.png") in said
+    assert main(["check", str(two), "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    for words in ("Boxes, mug", "Boxes, tray", "Object, mug", "Object, tray", "Ready to track"):
+        assert words in said
+
+
+def test_an_object_that_is_not_there_is_named(two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    session = Path(shutil.copytree(two, tmp_path / "session"))
+    (session / "boxes.toml").unlink()
+    for name, value in (("mug", 0), ("tray", 255)):
+        (session / "masks" / name).mkdir(parents=True)
+        for camera in ("cam_0", "cam_1", "cam_2"):
+            mask = np.full((360, 480), value, np.uint8)
+            mask[:4, :4] = 255
+            cv2.imwrite(str(session / "masks" / name / f"{camera}.png"), mask)
+    assert main(["track", str(session)]) == 0
+    _, err = capsys.readouterr()
+    assert err.startswith("sylpose: mug: no frame could be solved.")
+    assert "tray" not in err
+    # Both are decided in all frames, though at different times: the overlay waits for both.
+    with av.open(str(session / "sylpose" / "overlay.mp4")) as video:
+        assert sum(1 for _ in video.decode(video=0)) == FRAMES
+
+
+def test_boxes_that_do_not_meet_are_of_an_object(two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    boxes = tmp_path / "boxes.toml"
+    boxes.write_text((two / "boxes.toml").read_text() + "[lamp]\ncam_0 = [0, 0, 40, 40]\ncam_2 = [430, 310, 40, 40]\n")
+    assert main(["check", str(two), "--boxes", str(boxes), "--out", str(tmp_path)]) == 2
+    assert "lamp: " in capsys.readouterr().err
+
+
+def test_from_python_and_resumed(two: Path, out: Path, tmp_path: Path) -> None:
+    session = open_session(two)
+    part = tmp_path / "part"
+
+    def breaks(after: int) -> Callable[[TrackedFrame], None]:
+        seen: list[TrackedFrame] = []
+
+        def on_frame(tracked: TrackedFrame) -> None:
+            seen.append(tracked)
+            if len(seen) == after:
+                raise RuntimeError("between the two objects of a frame")
+
+        return on_frame
+
+    with pytest.raises(RuntimeError):
+        track_session(session, part, overlay=False, checkpoint_seconds=0, on_frame=breaks(9))
+    assert len(read_trajectory(part / "mug" / "trajectory.csv")) == 5
+    assert len(read_trajectory(part / "tray" / "trajectory.csv")) == 4
+    run = track_session(session, part, overlay=False, resume=True)
+    for name in ("mug", "tray"):
+        assert len(run.trajectories[name]) == FRAMES
+        for file in TRAJECTORIES:
+            assert (part / name / file).read_bytes() == (out / name / file).read_bytes()
+    with pytest.raises(ValueError, match="several objects"):
+        _ = run.trajectory

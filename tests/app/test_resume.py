@@ -1,0 +1,295 @@
+"""Interrupted runs go on from their checkpoint and come to the same files, byte for byte."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose import calibration
+from sylpose.app import checkpoint as checkpoints
+from sylpose.app.checkpoint import CHECKPOINT, ExactPickler
+from sylpose.app.run import track_session
+from sylpose.capture import open_session
+from sylpose.cli import main
+from sylpose.report.files import read_trajectory
+from sylpose.rig import Rig
+from sylpose.tracking.tracker import TrackedFrame
+
+# Of the recording's frames; fewer are faster.
+FRAMES = 7
+STOP = ("--stop", str(FRAMES))
+TRAJECTORIES = ("trajectory.tum", "trajectory.csv")
+# `sylpose` that gets a signal right after it wrote a frame's line: `-c KILLED SIGNAL LINE arguments`.
+KILLED = """
+import os, sys
+from sylpose.cli import main
+from sylpose.report.files import TrajectoryWriter
+which, line = int(sys.argv[1]), int(sys.argv[2])
+write, written = TrajectoryWriter.write, []
+def wrapped(self, pose):
+    write(self, pose)
+    written.append(pose)
+    if len(written) == line:
+        os.kill(os.getpid(), which)
+TrajectoryWriter.write = wrapped
+sys.exit(main(sys.argv[3:]))
+"""
+
+
+def killed(line: int, *args: object, how: signal.Signals = signal.SIGKILL) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", KILLED, str(int(how)), str(line), *map(str, args)]
+    # A shell that starts tests in the background lets its children ignore the signal.
+    restore = None if sys.platform == "win32" else lambda: signal.signal(signal.SIGINT, signal.default_int_handler)
+    return subprocess.run(command, capture_output=True, text=True, check=False, preexec_fn=restore)
+
+
+@pytest.fixture(scope="module")
+def whole(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files of a run without an interruption."""
+    out = tmp_path_factory.mktemp("whole")
+    assert main(["track", str(recording), *STOP, "--no-overlay", "--out", str(out)]) == 0
+    return out
+
+
+def same(a: Path, b: Path) -> bool:
+    return all((a / name).read_bytes() == (b / name).read_bytes() for name in TRAJECTORIES)
+
+
+# --- real interrupts --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")
+def test_a_killed_run_goes_on(recording: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    args = ("track", recording, *STOP, "--out", tmp_path, "--checkpoint", 0)
+    assert killed(5, *args).returncode == -signal.SIGKILL
+    assert len(read_trajectory(tmp_path / "trajectory.csv")) == 5
+    assert (tmp_path / CHECKPOINT).exists()
+    assert main([*map(str, args), "--resume"]) == 0
+    said = capsys.readouterr().out
+    assert f"Going on after 4 of {FRAMES} frames." in said  # the fifth was written, but not all of what follows
+    assert re.search(rf"Tracked +\d+ of {FRAMES} frames", said)
+    assert same(tmp_path, whole)
+    assert (tmp_path / "report.png").exists()
+    assert (tmp_path / "overlay.mp4").exists()
+    assert (tmp_path / "overlay_4.mp4").exists()
+    assert "overlay_4.mp4" in said
+    assert not (tmp_path / CHECKPOINT).exists()
+    # A new run does not leave the old one's second video beside its own.
+    assert main([*map(str, args), "--stop", "1"]) == 1  # no motion in one frame
+    assert [file.name for file in tmp_path.glob("overlay*")] == ["overlay.mp4"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")
+def test_ctrl_c_saves_where_it_was(recording: Path, whole: Path, tmp_path: Path) -> None:
+    args = ("track", recording, *STOP, "--out", tmp_path, "--no-overlay")
+    done = killed(5, *args, how=signal.SIGINT)
+    assert done.returncode == 130
+    assert done.stderr == f"sylpose: interrupted after 5 of {FRAMES} frames; what was computed is in {tmp_path}\n"
+    assert main([*map(str, args), "--resume"]) == 0
+    assert same(tmp_path, whole)
+
+
+# --- exactness --------------------------------------------------------------------------------------------------------
+
+
+class PowerCutError(Exception):
+    pass
+
+
+def interrupted(session: Path, out: Path, after: int, **options: Any) -> None:
+    """A run that breaks down after a number of frames."""
+    seen: list[TrackedFrame] = []
+
+    def breaks(tracked: TrackedFrame) -> None:
+        seen.append(tracked)
+        if len(seen) == after:
+            raise PowerCutError
+
+    with pytest.raises(PowerCutError):
+        track_session(open_session(session), out, on_frame=breaks, overlay=False, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "after"),
+    [
+        ({"method": "epipolar", "stop": 5}, 3),
+        ({"method": "sylvester", "start": 1, "every": 2}, 3),
+        ({"features": "klt", "offsets": {"cam_1": 0.002}, "stop": 7}, 5),
+        ({"smooth": True, "stop": 6}, 4),
+        ({"stop": 4}, 4),
+        ({"stop": 4, "checkpoint_seconds": 20}, 3),
+    ],
+    ids=["epipolar", "every other frame", "klt", "smooth", "after the last frame", "from the start"],
+)
+def test_the_continuation_is_exact(session: Path, tmp_path: Path, options: dict[str, Any], after: int) -> None:
+    if "every" in options:
+        (session / "boxes.toml").unlink()  # the first frames wait for a motion, with their images
+    track_session(open_session(session), tmp_path / "whole", overlay=False, **options)
+    interrupted(session, tmp_path / "part", after, **{"checkpoint_seconds": 0, **options})
+    run = track_session(open_session(session), tmp_path / "part", overlay=False, resume=True, **options)
+    assert same(tmp_path / "part", tmp_path / "whole")
+    assert {f.name for f in (tmp_path / "part").iterdir()} == {f.name for f in run.files}
+    assert np.array_equal(run.trajectory.solved, read_trajectory(tmp_path / "whole" / "trajectory.csv").solved)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([(3,), (4, 3), (3, 2, 5)]))
+def test_pickles_keep_every_bit(seed: int, shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=tuple(2 * n for n in shape))
+    fixed = rng.normal(size=shape)
+    fixed.setflags(write=False)
+    turns = Rotation.random(5, rng=rng) * Rotation.random(5, rng=rng)
+    poses = RigidTransform.from_components(rng.normal(size=(5, 3)), turns)
+    poses = poses * poses * poses.inv()  # off by rounding, which normalising would take away
+    views = (values[..., ::2], values[::-1], values.T, np.moveaxis(values, 0, -1).copy("K"), values[:0])
+    given = (views, np.broadcast_to(fixed, (2, *shape)), fixed, turns, poses, poses[0])
+    file = io.BytesIO()
+    ExactPickler(file, protocol=5).dump(given)
+    loaded = pickle.loads(file.getvalue())
+    for a, b in zip((*given[0], *given[1:3]), (*loaded[0], *loaded[1:3]), strict=True):
+        assert np.array_equal(a, b)
+        assert a.flags.writeable == b.flags.writeable
+        assert a.size == 0 or (a.flags.c_contiguous, a.flags.f_contiguous) == (
+            b.flags.c_contiguous,
+            b.flags.f_contiguous,
+        )
+        assert a.size == 0 or a.flags.forc or a.strides == b.strides
+    assert np.array_equal(loaded[3].as_quat(), turns.as_quat())
+    assert np.array_equal(loaded[4].as_matrix(), poses.as_matrix())
+    assert np.array_equal(loaded[5].as_matrix(), poses[0].as_matrix())
+
+
+# --- what cannot be resumed -------------------------------------------------------------------------------------------
+
+
+def refused(capsys: pytest.CaptureFixture[str], *args: object) -> str:
+    """The one sentence that a command is refused with."""
+    capsys.readouterr()
+    assert main(["track", *map(str, args), "--no-overlay", "--resume"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    return line
+
+
+def test_nothing_to_resume(recording: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {file: file.read_bytes() for file in whole.iterdir()}
+    assert main(["track", str(recording), *STOP, "--out", str(whole), "--resume"]) == 0
+    assert "has ended; there is nothing to resume" in capsys.readouterr().out
+    assert {file: file.read_bytes() for file in whole.iterdir()} == before
+    said = refused(capsys, recording, "--out", tmp_path / "new")
+    assert "no interrupted run to resume" in said
+    assert not (tmp_path / "new").exists()
+
+
+def test_other_options_or_another_session(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = session / "sylpose"
+    interrupted(session, out, 3)
+    before = {file: file.read_bytes() for file in out.iterdir()}
+    for option, value, words in (
+        ("--method", "epipolar", "method landmarks, not epipolar"),
+        ("--seed", 1, "seed 0, not 1"),
+        ("--stop", 9, "stop none, not 9"),
+        ("--features", "klt", "features auto, not klt"),
+    ):
+        said = refused(capsys, session, option, value)
+        assert words in said
+        assert "checkpoint.bin" in said
+    assert "time stamps or offsets" in refused(capsys, session, "--offset", "cam_0=1")
+    # Each is looked at before those that were changed already.
+    (session / "cam_1.mp4").write_bytes((session / "cam_2.mp4").read_bytes())
+    assert "other images" in refused(capsys, session)
+    rig = calibration.load(session / "calibration.toml")
+    calibration.save(Rig(rig.cameras, "mm"), session / "calibration.toml")
+    assert "other calibration" in refused(capsys, session)
+    (session / "boxes.toml").unlink()
+    assert "other boxes" in refused(capsys, session)
+    assert {file: file.read_bytes() for file in out.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda data: data[:-200], "damaged"),
+        (lambda data: data[: len(data) // 2] + b"x" + data[len(data) // 2 + 1 :], "damaged"),
+        (lambda _: b"", "damaged"),
+        (lambda _: pickle.dumps("something else"), "none of sylpose"),
+    ],
+    ids=["cut", "changed", "empty", "foreign"],
+)
+def test_a_damaged_checkpoint(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Callable[[bytes], bytes], words: str
+) -> None:
+    path = tmp_path / CHECKPOINT
+    interrupted(recording, tmp_path, 1, stop=2)
+    path.write_bytes(change(path.read_bytes()))
+    said = refused(capsys, recording, "--out", tmp_path, "--stop", 2)
+    assert words in said
+    assert str(path) in said
+
+
+def test_a_checkpoint_of_another_version_or_code(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    args = (recording, "--out", tmp_path, "--stop", 2)
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoints, "__version__", "0.0.9")
+        interrupted(recording, tmp_path, 1, stop=2)
+    assert "written by sylpose 0.0.9, this is" in refused(capsys, *args)
+    interrupted(recording, tmp_path, 1, stop=2)
+    with monkeypatch.context() as patch:
+        patch.delattr("sylpose.tracking.tracker.Tracker")
+        with pytest.raises(ValueError, match="another state of sylpose"):
+            checkpoints.load_checkpoint(tmp_path / CHECKPOINT, *header(tmp_path / CHECKPOINT))
+
+
+def header(path: Path) -> tuple[dict[str, str], dict[str, str]]:
+    """Options and session of a checkpoint."""
+    data = json.loads(path.read_bytes().splitlines()[1])
+    return data["options"], data["session"]
+
+
+def test_files_that_are_not_as_they_were_left(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    interrupted(recording, tmp_path, 3, stop=4, checkpoint_seconds=0)
+    (tmp_path / "trajectory.csv").write_text("")
+    assert "trajectory.csv" in refused(capsys, recording, "--out", tmp_path, "--stop", 4)
+    (tmp_path / "trajectory.tum").unlink()
+    assert "trajectory.tum" in refused(capsys, recording, "--out", tmp_path, "--stop", 4)
+
+
+def test_a_checkpoint_that_cannot_be_written_is_said(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, *_: object) -> None:
+        raise OSError(f"cannot write {path}: no space left on device")
+
+    monkeypatch.setattr("sylpose.app.run.save_checkpoint", full)
+    run = track_session(open_session(recording), tmp_path, stop=3, overlay=False, checkpoint_seconds=0)
+    assert len(run.trajectory) == 3
+    (said,) = run.problems
+    assert "checkpoint.bin: no space left" in said
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_failed_checkpoint_leaves_the_one_before(tmp_path: Path) -> None:
+    path = tmp_path / CHECKPOINT
+    checkpoints.save_checkpoint(path, {}, {}, [1])
+    (tmp_path / f"{CHECKPOINT}.tmp").symlink_to("/dev/full")
+    with pytest.raises(OSError, match=r"cannot write .*checkpoint\.bin: no space left"):
+        checkpoints.save_checkpoint(path, {}, {}, [2])
+    assert checkpoints.load_checkpoint(path, {}, {}) == [1]
+    assert [file.name for file in tmp_path.iterdir()] == [CHECKPOINT]

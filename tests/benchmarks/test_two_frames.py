@@ -1,0 +1,229 @@
+"""The benchmark of two frames: it runs, its scenes and bounds are right, it sees what got worse, and it ends what hangs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from benchmarks.two_frames_bound import bounds, sampled_errors
+from benchmarks.two_frames_report import (
+    FAILED_DEG,
+    Figures,
+    Results,
+    Tried,
+    figures_of,
+    load,
+    misses,
+    save,
+    too_slow,
+    worse_than,
+)
+from benchmarks.two_frames_scenes import ROWS, Row, Scene, make_scene
+from benchmarks.two_frames_solvers import Options, Prepare, Worker
+from sylpose.numerics.arrays import FloatArray
+from sylpose.rig import Camera
+from tests.where import REPOSITORY
+
+SCRIPT = REPOSITORY / "benchmarks" / "two_frames.py"
+BASE = ROWS[0]
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, str(SCRIPT), *map(str, arguments)], capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def results_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One scene of the base rows of both problems, ours alone."""
+    path = tmp_path_factory.mktemp("benchmark") / "results.json"
+    done = run("--rows", "*ring of 4*", "--scenes", 1, "--no-peers", "--out", path, "--table", "markdown")
+    assert done.returncode == 0, done.stderr
+    assert f"| {BASE.name}" in done.stdout
+    return path
+
+
+def test_one_scene_of_ours(results_file: Path) -> None:
+    results = load(results_file)
+    assert [r.name for r in results.rows] == [BASE.name, "pose: ring of 4, 60 points"]
+    for r in results.rows:
+        assert len(r.deg) == len(r.mm) == 1
+        assert r.deg[0] < 10 * r.bound_depth_unknown.deg[0]
+        assert r.ours.ms > 0
+        assert not r.peers
+
+
+def test_saved_results_load_the_same(results_file: Path, tmp_path: Path) -> None:
+    save(load(results_file), tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_text() == results_file.read_text()
+
+
+def test_a_file_that_is_no_baseline_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "other.json").write_text("{}")
+    for name in ("other.json", "missing.json"):
+        done = run("--no-peers", "--compare", tmp_path / name)
+        assert done.returncode == 2
+        assert f"{name}: not a file of results" in done.stderr
+
+
+def test_rows_that_are_not_there_are_refused() -> None:
+    done = run("--no-peers", "--rows", "no such row")
+    assert done.returncode == 2
+    assert "no row is named 'no such row'" in done.stderr
+
+
+def test_a_worsened_figure_exits_with_1(results_file: Path, tmp_path: Path) -> None:
+    results = load(results_file)
+    better = [replace(r, deg=[0.5 * v for v in r.deg], loop_ms=r.loop_ms / 10) for r in results.rows[:1]]
+    save(replace(results, rows=better), tmp_path / "baseline.json")
+    done = run("--rows", BASE.name, "--scenes", 1, "--no-peers", "--compare", tmp_path / "baseline.json")
+    assert done.returncode == 1, done.stderr
+    assert f"- {BASE.name}: median deg" in done.stdout
+
+
+def test_what_counts_as_worse(results_file: Path) -> None:
+    old = load(results_file)
+    first = old.rows[0]
+
+    def now(**changes: object) -> Results:
+        return replace(old, rows=[replace(first, **changes)])  # type: ignore[arg-type]
+
+    assert not list(worse_than(old, old))
+    assert not list(worse_than(now(mm=[1.05 * first.mm[0]]), old))
+    assert list(worse_than(now(mm=[1.2 * first.mm[0]]), old))
+    assert "without a pose" in list(worse_than(now(deg=[FAILED_DEG]), old))[-1]
+    assert "time" in next(worse_than(now(ours=replace(first.ours, ms=2 * first.ours.ms)), old))
+    # A slower machine is not a slower solver.
+    assert not list(worse_than(now(ours=replace(first.ours, ms=2 * first.ours.ms), loop_ms=2 * first.loop_ms), old))
+
+
+def test_targets(results_file: Path) -> None:
+    """What misses: more than a tie against any peer; less than a gain of 1.5 where one is wanted; too slow."""
+    results = load(results_file)
+    ours = results.rows[0]
+    figures, fast = figures_of(ours.deg, ours.mm), 10 * ours.ours.ms
+
+    def missed(row: Row, factor: float, ms: float) -> str:
+        peer = Figures(*((a * factor, b * factor, c * factor) for a, b, c in figures))
+        tried = Tried("", 1, peer, ms, {})
+        result = replace(ours, name=row.name, peers={"poselib": [tried]})
+        now = replace(results, rows=[result])
+        return "\n".join([*misses(now, by_chance=True), *misses(now, by_chance=False), *too_slow(now)])
+
+    small_turn = next(row for row in ROWS if row.name == "turn 1")
+    assert missed(BASE, 0.97, fast) == ""
+    assert missed(BASE, 0.8, fast).count("smaller") == 4
+    assert missed(BASE, 1.0, 3 * ours.ours.ms).count("x3.0 faster, wanted x5") == 1
+    assert missed(small_turn, 1.6, fast) == ""
+    assert missed(small_turn, 1.4, fast).count("wanted x1.5") == 4
+
+
+@pytest.mark.parametrize("row", [r for r in ROWS if r.cameras <= 16 and r.matches <= 60], ids=lambda r: r.name)
+def test_scenes_are_as_the_row_says(row: Row) -> None:
+    """Points lie where the truth takes them, to the noise; outliers are as many as asked; the same again."""
+    scene = make_scene(row, 0)
+    again = make_scene(row, 0)
+    assert all(np.array_equal(a, b) for a, b in zip(scene.after, again.after, strict=True))
+    assert len(scene.rig) == row.cameras
+    for c, (camera, y, points) in enumerate(zip(scene.rig, scene.after, scene.points, strict=True)):
+        true = np.isfinite(points).all(axis=1)
+        off = (row.junk or row.miscalibrated > 0) and c == 1
+        assert len(y) <= row.matches
+        if row.kind != "second_motion":  # whose copy may be out of sight
+            assert true.sum() == (0 if off else len(y) - round(row.outliers * len(y)))
+        error = y[true] - camera.project(scene.truth.apply(points[true]))
+        if true.any():
+            # In frame i the noise is in the points' direction, and comes along.
+            assert np.abs(error).max() < 6 * row.noise * (1.0 if row.problem == "pose" else 2.0)
+
+
+def numerical_bound(scene: Scene, depth_known: bool) -> FloatArray:
+    """The covariance (6, 6) from all observations of all points, their places eliminated, by finite differences."""
+    center, information, step = scene.truth.apply(scene.center), np.zeros((6, 6)), 1e-5
+    places = 0 if scene.problem == "pose" else 2 if depth_known else 3
+    for camera, points in zip(scene.rig, scene.points, strict=True):
+        for point in points[np.isfinite(points).all(axis=1)]:
+
+            def observed(change: FloatArray, camera: Camera = camera, point: FloatArray = point) -> FloatArray:
+                turn = Rotation.from_rotvec(change[:3])
+                motion = RigidTransform.from_components(center + change[3:6] - turn.apply(center), turn) * scene.truth
+                if scene.problem == "pose":
+                    return np.asarray(camera.project(motion.apply(point))[0])
+                x, y, z = camera.camera_from_world.apply(point)
+                ray = np.array([x / z + change[6], y / z + change[7], 1.0])
+                point = camera.camera_from_world.inv().apply(z * (1 + change[8]) * ray)
+                return np.concatenate([camera.project(point)[0], camera.project(motion.apply(point))[0]])
+
+            jacobian = np.column_stack(
+                [(observed(step * e) - observed(-step * e)) / (2 * step) for e in np.eye(9)[: 6 + places]]
+            )
+            of_motion, of_place = jacobian[:, :6], jacobian[:, 6:]
+            rest = np.eye(len(jacobian)) - of_place @ np.linalg.pinv(of_place)
+            information += of_motion.T @ rest @ of_motion / scene.noise**2
+    return np.asarray(np.linalg.inv(information))
+
+
+@pytest.mark.parametrize("name", ["20 matches", "pose: 16 cameras x 2 points"])
+def test_bound_is_that_of_all_unknowns_together(name: str) -> None:
+    scene = make_scene(next(row for row in ROWS if row.name == name), 0)
+    for bound, depth_known in zip(bounds(scene), (False, True), strict=True):
+        expected = numerical_bound(scene, depth_known)
+        sigma = np.sqrt(np.diag(expected))
+        np.testing.assert_allclose(bound / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=1e-4)
+
+
+def test_bound_of_motion_loses_by_unknown_depth() -> None:
+    unknown, known = bounds(make_scene(BASE, 0))
+    assert np.linalg.eigvalsh(unknown - known).min() > -1e-9 * np.abs(unknown).max()
+    deg, mm = sampled_errors([known])
+    assert np.sqrt(np.mean(np.deg2rad(deg) ** 2)) == pytest.approx(np.sqrt(np.trace(known[:3, :3])), rel=0.15)
+    assert np.sqrt(np.mean((1e-3 * mm) ** 2)) == pytest.approx(np.sqrt(np.trace(known[3:, 3:])), rel=0.15)
+
+
+def load_fake() -> Prepare:
+    """A solver that hangs in native code, holding the interpreter's lock, dies, raises, or answers."""
+
+    def prepare(scene: Scene, options: Options) -> Callable[[], RigidTransform | None]:
+        def call() -> RigidTransform | None:
+            if options.get("hang"):
+                sum(range(10**15))
+            if options.get("die"):
+                os.abort()
+            if options.get("raise"):
+                raise ValueError("no")
+            return None if options.get("none") else scene.truth
+
+        return call
+
+    return prepare
+
+
+def test_what_hangs_or_dies_is_ended_and_the_next_scene_goes_on() -> None:
+    scene = make_scene(BASE, 0)
+    with Worker(load_fake, limit_s=0.5) as worker:
+        worker.start()
+        process = worker._process
+        assert process is not None
+        start = time.perf_counter()
+        assert worker.solve(scene, {"hang": True}).why == "hang"
+        assert time.perf_counter() - start < 5
+        assert not worker.alive
+        assert process.exitcode == -signal.SIGKILL
+        answer = worker.solve(scene, {})
+        assert answer.pose is not None
+        assert scene.error(answer.pose) == pytest.approx((0, 0), abs=1e-6)
+        assert worker.solve(scene, {"die": True}).why == "crash"
+        assert worker.solve(scene, {"raise": True}).why == "ValueError: no"
+        assert worker.solve(scene, {"none": True}).why == "no pose"
+    assert not worker.alive

@@ -1,0 +1,590 @@
+"""Calibration files: the real ones, every format, round trips, and bad input."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose import calibration
+from sylpose.rig import Camera, LensModel, Rig
+from tests.where import DATA
+
+SUFFIXES = (".toml", ".yml", ".yaml", ".json", ".xml")
+
+
+def recording(name: str) -> Path:
+    if not (DATA / name).is_dir():
+        pytest.skip(f"the recording {name} is not here")
+    return DATA / name
+
+
+def random_rig(seed: int = 0, unit: str = "m") -> Rig:
+    """A camera for every number of distortion terms, with names that need care."""
+    rng = np.random.default_rng(seed)
+    lenses: list[tuple[LensModel, int]] = [("opencv", n) for n in (4, 5, 8, 12, 14)] + [("fisheye", 4)]
+    names = ["cam_0", "left camera", "Kamera é", 'the "top" one', "3", "it's a.b"]
+    cameras = []
+    for name, (lens, n) in zip(names, lenses, strict=True):
+        matrix = np.array([[rng.uniform(500, 900), 0, 320.25], [0, rng.uniform(500, 900), 239.75], [0, 0, 1]])
+        pose = RigidTransform.from_components(rng.normal(size=3), Rotation.from_rotvec(rng.normal(size=3)))
+        cameras.append(Camera(name, (640, 480), matrix, rng.normal(size=n) / 10, pose, lens))
+    return Rig(cameras, unit)
+
+
+def assert_same(a: Rig, b: Rig) -> None:
+    """Equal bit for bit."""
+    assert a.names == b.names
+    for x, y in zip(a, b, strict=True):
+        assert (x.size, x.lens) == (y.size, y.lens)
+        np.testing.assert_array_equal(x.matrix, y.matrix)
+        np.testing.assert_array_equal(x.distortion, y.distortion)
+        np.testing.assert_array_equal(x.camera_from_world.as_matrix(), y.camera_from_world.as_matrix())
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def same_pose(pose: RigidTransform, rvec: Any, tvec: Any) -> bool:
+    rotation, _ = cv2.Rodrigues(np.array(rvec, dtype=float))
+    matrix = pose.as_matrix()
+    return bool(np.allclose(matrix[:3, :3], rotation, atol=1e-12) and np.array_equal(matrix[:3, 3], tvec))
+
+
+# The real files
+
+
+def test_temple() -> None:
+    path = calibration.find(recording("temple"))
+    rig = calibration.load(path)
+    tables = tomllib.loads(path.read_text())
+    assert rig.names == ("cam_0", "cam_1", "cam_2", "cam_3")
+    assert rig.unit == ""
+    for camera in rig:
+        table = tables[camera.name]
+        assert list(camera.size) == table["size"] == [640, 480]
+        np.testing.assert_array_equal(camera.matrix, table["matrix"])
+        np.testing.assert_array_equal(camera.distortion, table["distortions"])
+        assert camera.lens == "opencv"
+        assert same_pose(camera.camera_from_world, table["rotation"], table["translation"])
+
+
+def test_board4() -> None:
+    path = calibration.find(recording("board4"))
+    rig = calibration.load(path)
+    tables = tomllib.loads(path.read_text())["cameras"]
+    assert rig.names == ("cam_0", "cam_1", "cam_2", "cam_3")
+    for i, camera in enumerate(rig):
+        table = tables[str(i)]
+        assert list(camera.size) == [1280, 720]
+        np.testing.assert_array_equal(camera.matrix, table["matrix"])
+        np.testing.assert_array_equal(camera.distortion, table["distortions"])
+        np.testing.assert_allclose(camera.rotation, table["rotation"], atol=1e-12)
+        np.testing.assert_array_equal(camera.camera_from_world.translation, table["translation"])
+
+
+@pytest.mark.parametrize("name", ["temple", "board4"])
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_real_files_round_trip(name: str, suffix: str, tmp_path: Path) -> None:
+    rig = calibration.load(calibration.find(recording(name)))
+    calibration.save(rig, tmp_path / f"calibration{suffix}")
+    assert_same(rig, calibration.load(tmp_path / f"calibration{suffix}"))
+
+
+# Saving and loading
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("unit", ["", "mm"])
+def test_round_trip_is_exact(suffix: str, unit: str, tmp_path: Path) -> None:
+    for seed in range(5):
+        rig = random_rig(seed, unit)
+        calibration.save(rig, tmp_path / f"a{suffix}")
+        back = calibration.load(tmp_path / f"a{suffix}")
+        assert_same(rig, back)
+        assert back.unit == unit
+
+
+def test_conversion_through_all_formats_changes_nothing(tmp_path: Path) -> None:
+    rig = random_rig()
+    converted = rig
+    for suffix in (*SUFFIXES, ".toml"):
+        calibration.save(converted, tmp_path / f"a{suffix}")
+        converted = calibration.load(tmp_path / f"a{suffix}")
+    assert_same(rig, converted)
+
+
+def test_format_is_told_from_the_content(tmp_path: Path) -> None:
+    rig = random_rig()
+    for suffix in SUFFIXES:
+        calibration.save(rig, tmp_path / f"a{suffix}")
+        text = (tmp_path / f"a{suffix}").read_text(encoding="utf-8")
+        assert_same(rig, calibration.load(write(tmp_path / "calibration.txt", "\ufeff" + text)))
+
+
+def test_own_format_is_what_it_says(tmp_path: Path) -> None:
+    calibration.save(random_rig(), tmp_path / "a.toml")
+    text = (tmp_path / "a.toml").read_text(encoding="utf-8")
+    data = tomllib.loads(text)
+    camera = random_rig().cameras[0]
+    assert data["format"] == "sylpose-calibration-1"
+    assert data["unit"] == "m"
+    table = data["cameras"]["cam_0"]
+    assert table["size"] == [640, 480]
+    assert table["lens"] == "opencv"
+    assert table["distortion"] == camera.distortion.tolist()
+    pose = table["camera_from_world"]
+    x = np.array([0.3, -0.2, 4.0])
+    np.testing.assert_allclose(
+        np.array(pose["rotation"]) @ x + pose["translation"], camera.camera_from_world.apply(x), atol=1e-12
+    )
+    assert text.startswith("#")
+    assert "X_camera = rotation X_world + translation" in text
+
+
+def test_written_filestorage_is_opencvs(tmp_path: Path) -> None:
+    rig = random_rig()
+    for suffix in (".yml", ".json", ".xml"):
+        calibration.save(rig, tmp_path / f"a{suffix}")
+        storage = cv2.FileStorage(str(tmp_path / f"a{suffix}"), cv2.FILE_STORAGE_READ)
+        node = storage.getNode("cameras").at(1)
+        assert node.getNode("name").string() == "left camera"
+        np.testing.assert_array_equal(node.getNode("camera_matrix").mat(), rig.cameras[1].matrix)
+
+
+def test_save_needs_a_known_suffix(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"a\.csv: a calibration is written as one of \.toml"):
+        calibration.save(random_rig(), tmp_path / "a.csv")
+
+
+# TOML formats in their variants
+
+ANIPOSE = """
+[cam_0]
+name = "left"
+size = [640, 480]
+matrix = [[800.0, 0.0, 320.0], [0.0, 800.0, 240.0], [0.0, 0.0, 1.0]]
+distortions = [0.1, 0.0, 0.0, 0.0, 0.0]
+rotation = [0.1, 0.2, 0.3]
+translation = [1.0, 2.0, 3.0]
+
+[cam_1]
+name = "right"
+size = [640.0, 480.0]
+fisheye = true
+matrix = [[800, 0, 320], [0, 800, 240], [0, 0, 1]]
+distortions = [[0.1, 0.0, 0.0, 0.0]]
+rotation = [0.0, 0.0, 0.0]
+translation = [[1.0], [2.0], [3.0]]
+
+[metadata]
+adjusted = false
+error = 0.0
+"""
+CALISCOPE = """
+[cameras.0]
+cam_id = 0
+size = [640, 480]
+matrix = [[800.0, 0.0, 320.0], [0.0, 800.0, 240.0], [0.0, 0.0, 1.0]]
+distortions = [0.1, 0.0, 0.0, 0.0, 0.0]
+rotation = [0.1, 0.2, 0.3]
+translation = [1.0, 2.0, 3.0]
+ignore = false
+
+[cameras.1]
+cam_id = 1
+size = [640, 480]
+ignore = true
+
+[cameras.12]
+size = [640, 480]
+matrix = [[800.0, 0.0, 320.0], [0.0, 800.0, 240.0], [0.0, 0.0, 1.0]]
+distortions = [0.1, 0.0, 0.0, 0.0]
+rotation = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+translation = [1.0, 2.0, 3.0]
+fisheye = true
+exposure = "null"
+"""
+OWN = """
+format = "sylpose-calibration-1"
+[cameras.left]
+size = [640, 480]
+matrix = [[800.0, 0.0, 320.0], [0.0, 800.0, 240.0], [0.0, 0.0, 1.0]]
+distortion = [0.1, 0.0, 0.0, 0.0]
+camera_from_world = { rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]], translation = [1.0, 2.0, 3.0] }
+"""
+
+
+def test_anipose(tmp_path: Path) -> None:
+    rig = calibration.load(write(tmp_path / "calibration.toml", ANIPOSE))
+    assert rig.names == ("left", "right")
+    assert [c.lens for c in rig] == ["opencv", "fisheye"]
+    assert rig["right"].size == (640, 480)
+    assert rig["right"].distortion.shape == (4,)
+    assert same_pose(rig["left"].camera_from_world, [0.1, 0.2, 0.3], [1, 2, 3])
+    assert same_pose(rig["right"].camera_from_world, [0, 0, 0], [1, 2, 3])
+
+
+def test_caliscope(tmp_path: Path) -> None:
+    rig = calibration.load(write(tmp_path / "camera_array.toml", CALISCOPE))
+    assert rig.names == ("cam_0", "cam_12")
+    assert [c.lens for c in rig] == ["opencv", "fisheye"]
+    assert same_pose(rig["cam_0"].camera_from_world, [0.1, 0.2, 0.3], [1, 2, 3])
+    assert same_pose(rig["cam_12"].camera_from_world, [0, 0, np.pi / 2], [1, 2, 3])
+
+
+def test_rounded_rotation_becomes_the_nearest_one(tmp_path: Path) -> None:
+    exact = Rotation.from_rotvec([0.3, -0.5, 0.7])
+    rows = np.round(exact.as_matrix(), 4).tolist()
+    text = OWN.replace("[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", str(rows))
+    rotation = calibration.load(write(tmp_path / "a.toml", text)).cameras[0].rotation
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
+    u, _, vt = np.linalg.svd(np.array(rows))
+    np.testing.assert_allclose(rotation, u @ vt, atol=1e-14)
+
+
+# OpenCV's FileStorage: the layouts that people write
+
+LENS = "distortion_coefficients: [0.1, 0.0, 0.0, 0.0, 0.0]"
+K = "[[800.0, 0, 320], [0, 800, 240], [0, 0, 1]]"
+STORAGE: dict[str, str] = {
+    "a node per camera, OpenCV's matrices": f"""%YAML:1.0
+---
+date: "today"
+board: {{ name: "charuco", size: [5, 7] }}
+cam_0:
+   image_width: 640
+   image_height: 480
+   camera_matrix: !!opencv-matrix
+      rows: 3
+      cols: 3
+      dt: d
+      data: [ 800., 0., 320., 0., 800., 240., 0., 0., 1. ]
+   {LENS}
+   R: !!opencv-matrix
+      rows: 3
+      cols: 1
+      dt: d
+      data: [ 0.1, 0.2, 0.3 ]
+   T: !!opencv-matrix
+      rows: 3
+      cols: 1
+      dt: d
+      data: [ 1., 2., 3. ]
+""",
+    "YAML without its header, other names": f"""# written by hand
+cam_0:
+  image_size: [640, 480]
+  K: {K}
+  dist: [[0.1, 0, 0, 0, 0]]
+  rvec: [0.1, 0.2, 0.3]
+  tvec: [1.0, 2.0, 3.0]
+""",
+    "ROS's matrices": f"""%YAML 1.2
+---
+cam_0:
+  image_width: 640
+  image_height: 480
+  camera_matrix: {{ rows: 3, cols: 3, data: [800, 0, 320, 0, 800, 240, 0, 0, 1] }}
+  distortion_model: plumb_bob
+  {LENS}
+  rotation: [0.1, 0.2, 0.3]
+  translation: [1, 2, 3]
+""",
+    "a sequence": f"""%YAML:1.0
+---
+cameras:
+   - name: cam_0
+     image_size: [640, 480]
+     camera_matrix: {K}
+     {LENS}
+     R: [0.1, 0.2, 0.3]
+     T: [1, 2, 3]
+""",
+    "JSON": json.dumps(
+        {
+            "cam_0": {
+                "K": [[800, 0, 320], [0, 800, 240], [0, 0, 1]],
+                "D": [0.1, 0, 0, 0, 0],
+                "size": [640, 480],
+                "fisheye": False,
+                "R": Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix().tolist(),
+                "t": [[1], [2], [3]],
+            }
+        }
+    ),
+    "Multical": json.dumps(
+        {
+            "cameras": {
+                "cam_0": {
+                    "model": "standard",
+                    "image_size": [640, 480],
+                    "K": [[800, 0, 320], [0, 800, 240], [0, 0, 1]],
+                    "dist": [[0.1, 0, 0, 0, 0]],
+                }
+            },
+            "camera_poses": {
+                "cam_0_to_cam_9": {
+                    "R": Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix().tolist(),
+                    "T": [1, 2, 3],
+                }
+            },
+        }
+    ),
+    "XML": """<?xml version="1.0"?>
+<opencv_storage>
+<cam_0>
+  <image_size>640 480</image_size>
+  <camera_matrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt>
+    <data>800. 0. 320. 0. 800. 240. 0. 0. 1.</data></camera_matrix>
+  <distortion_coefficients>0.1 0. 0. 0. 0.</distortion_coefficients>
+  <fisheye>false</fisheye>
+  <R>0.1 0.2 0.3</R>
+  <T>1. 2. 3.</T>
+</cam_0>
+</opencv_storage>
+""",
+    "JSON with a comment, as OpenCV writes it": """{
+    // hello
+    "cam_0": { "K": [[800, 0, 320], [0, 800, 240], [0, 0, 1]], "D": [0.1, 0, 0, 0, 0], "size": [640, 480],
+        "R": [0.1, 0.2, 0.3], "T": [1, 2, 3] } }
+""",
+}
+
+
+@pytest.mark.parametrize("layout", STORAGE)
+def test_filestorage_layouts(layout: str, tmp_path: Path) -> None:
+    rig = calibration.load(write(tmp_path / "calibration.yml", STORAGE[layout]))
+    assert rig.names == ("cam_0",)
+    camera = rig.cameras[0]
+    assert camera.size == (640, 480)
+    assert camera.lens == "opencv"
+    np.testing.assert_array_equal(camera.matrix, [[800, 0, 320], [0, 800, 240], [0, 0, 1]])
+    np.testing.assert_array_equal(camera.distortion, [0.1, 0, 0, 0, 0])
+    assert same_pose(camera.camera_from_world, [0.1, 0.2, 0.3], [1, 2, 3])
+
+
+def json_camera(**changes: Any) -> dict[str, Any]:
+    """A camera's node; a change to None takes a key away."""
+    node = {
+        "camera_matrix": [[800, 0, 320], [0, 800, 240], [0, 0, 1]],
+        "distortion_coefficients": [0.1, 0, 0, 0],
+        "image_width": 640,
+        "image_height": 480,
+        "R": [0.1, 0.2, 0.3],
+        "T": [1.0, 2.0, 3.0],
+    }
+    return {key: value for key, value in (node | changes).items() if value is not None}
+
+
+def load_json(tmp_path: Path, **changes: Any) -> Camera:
+    text = json.dumps({"cam_0": json_camera(), "cam_1": json_camera(**changes)})
+    return calibration.load(write(tmp_path / "calibration.json", text))["cam_1"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"fisheye": True},
+        {"fisheye": 1},
+        {"lens": "fisheye"},
+        {"distortion_model": "equidistant", "camera_model": "pinhole"},
+    ],
+)
+def test_filestorage_fisheye(changes: dict[str, Any], tmp_path: Path) -> None:
+    assert load_json(tmp_path, **changes).lens == "fisheye"
+
+
+def test_filestorage_poses_as_one_matrix(tmp_path: Path) -> None:
+    pose = RigidTransform.from_components([1, 2, 3], Rotation.from_rotvec([0.1, 0.2, 0.3]))
+    for key, matrix in [
+        ("camera_from_world", pose.as_matrix()),
+        ("extrinsics", pose.as_matrix()[:3]),
+        ("world_from_camera", pose.inv().as_matrix()),
+    ]:
+        camera = load_json(tmp_path, R=None, T=None, **{key: matrix.tolist()})
+        np.testing.assert_allclose(camera.camera_from_world.as_matrix(), pose.as_matrix(), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"camera_matrix": None}, r"missing key 'camera_matrix' \(or cameraMatrix, K,"),
+        ({"distortion_coefficients": None}, "missing key 'distortion_coefficients'"),
+        ({"image_width": None}, "missing key 'image_width'"),
+        ({"image_width": None, "image_height": None}, "missing key 'image_width'"),
+        ({"R": None}, "missing key 'R'"),
+        ({"T": None}, "missing key 'T'"),
+        ({"K": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "camera_matrix and K mean the same"),
+        ({"camera_matrix": [[1, 0], [0, 1]]}, "the matrix must be 3x3"),
+        ({"camera_matrix": [[1, 0], [0]]}, "the matrix must be numbers, in rows of equal length"),
+        ({"camera_matrix": "see elsewhere"}, "the matrix must be numbers"),
+        ({"camera_matrix": {"rows": 3, "cols": 3, "data": [1]}}, "must be a matrix with rows, cols and as much data"),
+        ({"distortion_coefficients": [0.1, 0.2]}, "2 distortion terms"),
+        ({"fisheye": True, "distortion_coefficients": [0.1] * 5}, "5 distortion terms; the fisheye model"),
+        ({"distortion_coefficients": [float("nan"), 0, 0, 0]}, "the distortion has values that are not finite"),
+        ({"image_width": 640.5}, "two whole numbers"),
+        ({"T": [1, 2]}, "the translation must be 3 numbers"),
+        ({"T": [1, 2, float("inf")]}, "the translation has values that are not finite"),
+        ({"R": [1, 2, 3, 4]}, "the rotation must be 3x3 or a rotation vector of 3"),
+        ({"R": [[1, 0, 0], [0, 1, 0], [0, 0, 1.01]]}, "not a rotation matrix: R'R is 0.02 from the identity"),
+        ({"R": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "a reflection"),
+        ({"extrinsics": np.eye(4).tolist()}, "its pose is given twice"),
+        ({"R": None, "T": None, "extrinsics": np.eye(3).tolist()}, "camera_from_world must be a 3x4 or 4x4"),
+        ({"fisheye": "maybe"}, "fisheye must be true or false, got 'maybe'"),
+        ({"fisheye": True, "distortion_model": "plumb_bob"}, "a fisheye and not to be one"),
+        ({"distortion_model": "mirror"}, "distortion_model 'mirror' is not known"),
+    ],
+)
+def test_bad_filestorage_camera(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=rf"calibration\.json: camera cam_1: .*{message}") as caught:
+        load_json(tmp_path, **changes)
+    assert "\n" not in str(caught.value)
+
+
+# Bad TOML: (file, what is replaced, by what, message)
+
+MATRIX = "matrix = [[800.0, 0.0, 320.0], [0.0, 800.0, 240.0], [0.0, 0.0, 1.0]]"
+BAD_TOML: dict[str, tuple[str, str, str, str]] = {
+    "missing key": (ANIPOSE, MATRIX, "", "camera cam_0: missing key 'matrix'"),
+    "missing size": (ANIPOSE, "size = [640, 480]", "", "camera cam_0: missing key 'size'"),
+    "wrong type": (ANIPOSE, MATRIX, 'matrix = "K"', "camera cam_0: matrix: expected `array`, got `str`"),
+    "wrong size": (ANIPOSE, "[640, 480]", "[640]", "camera cam_0: size: expected `array` of length 2"),
+    "matrix shape": (ANIPOSE, ", [0.0, 0.0, 1.0]]", "]", "camera left: the matrix must be 3x3"),
+    "matrix nan": (ANIPOSE, "[[800.0", "[[nan", "camera left: the matrix has values that are not finite"),
+    "terms": (ANIPOSE, "[0.1, 0.0, 0.0, 0.0, 0.0]", "[0.1, 0.0]", "camera left: 2 distortion terms"),
+    "rotation": (
+        ANIPOSE,
+        "[0.1, 0.2, 0.3]",
+        "[0.1, 0.2]",
+        "camera left: the rotation must be 3x3 or a rotation vector",
+    ),
+    "same name": (ANIPOSE, '"right"', '"left"', "two cameras of the same name in left, left"),
+    "same table": (ANIPOSE, "[cam_1]", "[cam_0]", "not valid TOML: .*cam_0"),
+    "no pose": (CALISCOPE, "rotation = [0.1, 0.2, 0.3]", "", "camera cam_0: no rotation and translation"),
+    "null pose": (CALISCOPE, "rotation = [0.1, 0.2, 0.3]", 'rotation = "null"', "camera cam_0: no rotation and"),
+    "no lens": (CALISCOPE, MATRIX, "", "camera cam_0: missing key 'matrix'"),
+    "not a rotation": (
+        CALISCOPE,
+        "[0.0, -1.0, 0.0]",
+        "[0.0, -1.1, 0.0]",
+        "camera cam_12: the rotation is not a rotation",
+    ),
+    "reflection": (CALISCOPE, "[0.0, -1.0, 0.0]", "[0.0, 1.0, 0.0]", "camera cam_12: .* a reflection"),
+    "all ignored": ("[cameras.0]\nignore = true", "", "", "at least one camera"),
+    "no table": ("[cameras]\n0 = 1", "", "", r"camera cam_0: expected a table \[cameras.0\]"),
+    "no cameras": ("[cameras]", "", "", "at least one camera"),
+    "version": (OWN, "calibration-1", "calibration-9", "the format is 'sylpose-calibration-9'"),
+    "unknown key": (OWN, "format", 'units = "m"\nformat', "unknown field `units`"),
+    "unknown camera key": (OWN, "size", "zoom = 1\nsize", "camera left: object contains unknown field `zoom`"),
+    "lens": (OWN, "size", 'lens = "mirror"\nsize', "camera left: lens: invalid enum value 'mirror'"),
+    "unit": (OWN, "format", "unit = 1\nformat", "unit: expected `str`, got `int`"),
+    "pose key": (OWN, "translation", "position", "camera left: .*unknown field `position`"),
+    "own without cameras": ('format = "sylpose-calibration-1"', "", "", "missing key 'cameras'"),
+    "something else": (
+        "[tool.ruff]\nline-length = 1",
+        "",
+        "",
+        "not a calibration of a known format; known are sylpose",
+    ),
+    "own without format": (OWN, 'format = "sylpose-calibration-1"', "", "not a calibration of a known format"),
+    "not TOML": ("hello there", "", "", "not valid TOML"),
+    "empty": ("", "", "", "not a calibration of a known format"),
+}
+
+
+@pytest.mark.parametrize("bad", BAD_TOML)
+def test_bad_toml(bad: str, tmp_path: Path) -> None:
+    text, old, new, message = BAD_TOML[bad]
+    assert old in text
+    with pytest.raises(ValueError, match=rf"calibration\.toml: .*{message}") as caught:
+        calibration.load(write(tmp_path / "calibration.toml", text.replace(old, new, 1) if old else text))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.json", '{"cam_0": ', "not valid JSON"),
+        ("a.json", '{"cam_0": {}, "cam_0": {}}', "'cam_0' is there twice"),
+        ("a.json", '{"name": "npm"}', "not a calibration of a known format"),
+        ("a.json", '{"cameras": 3}', "'cameras' must be a map or a sequence"),
+        ("a.json", '{"cameras": []}', "a rig needs at least one camera"),
+        ("a.json", '{"cameras": [{"K": 1}]}', r"cameras\[0\] must be a map with a key 'name'"),
+        ("a.json", '{"cameras": [3]}', r"cameras\[0\] must be a map"),
+        ("a.json", json.dumps({"cameras": [json_camera(name="a")] * 2}), "two cameras of the same name in a, a"),
+        ("a.json", json.dumps({"unit": 3, "cam_0": json_camera()}), "unit must be a string"),
+        ("a.json", json.dumps(json_camera()), "holds a single lens"),
+        ("a.yml", "%YAML:1.0\n---\na: 1\na: 2\n", "'a' is there twice"),
+        ("a.yml", "cam_0: [\n", "OpenCV cannot read this YAML"),
+        (
+            "a.yml",
+            "cam_0:\n  K:\n  - [1, 2]\n",
+            r".*lists in \[brackets\] only, or use JSON",
+        ),
+        ("a.yml", "", "not a calibration of a known format"),
+        ("a.xml", "<opencv_storage><a>", "OpenCV cannot read this XML"),
+        ("a.xml", "<html></html>", "OpenCV cannot read this XML"),
+        ("a.txt", "hello there", "not a calibration of a known format; known are sylpose, Anipose and Caliscope TOML"),
+    ],
+)
+def test_bad_files(name: str, text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=rf"{name}: {message}") as caught:
+        calibration.load(write(tmp_path / name, text))
+    assert "\n" not in str(caught.value)
+
+
+def test_not_text(tmp_path: Path) -> None:
+    (tmp_path / "calibration.toml").write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(ValueError, match=r"calibration\.toml: not a calibration, which are text"):
+        calibration.load(tmp_path / "calibration.toml")
+
+
+def test_no_such_file(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"calibration\.toml"):
+        calibration.load(tmp_path / "calibration.toml")
+
+
+# Finding the calibration of a session
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("calibration.toml", "camera_array.toml", "calibration.yml", "calibration.yaml", "calibration.json"),
+        *("calibration.xml", "Calib.toml", "Calib_scene.toml", "camera_calibration.yml", "rig.toml", "cameras.json"),
+    ],
+)
+def test_find(name: str, tmp_path: Path) -> None:
+    for other in ("dataset.toml", "boxes.toml", "session.toml", "timestamps.csv", "cam_0.mp4", "calibration.png"):
+        write(tmp_path / other, "")
+    (tmp_path / "calibration").mkdir()
+    write(tmp_path / name, "")
+    assert calibration.find(tmp_path) == tmp_path / name
+    assert calibration.find(str(tmp_path)) == tmp_path / name
+
+
+def test_find_none(tmp_path: Path) -> None:
+    write(tmp_path / "dataset.toml", "")
+    with pytest.raises(ValueError, match="no calibration in it; expected one such as"):
+        calibration.find(tmp_path)
+
+
+def test_find_two(tmp_path: Path) -> None:
+    write(tmp_path / "camera_array.toml", "")
+    write(tmp_path / "calibration.yml", "")
+    with pytest.raises(ValueError, match=r"2 calibrations \(calibration.yml, camera_array.toml\)"):
+        calibration.find(tmp_path)
+
+
+def test_find_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="nowhere: no such folder"):
+        calibration.find(tmp_path / "nowhere")

@@ -1,0 +1,320 @@
+"""Keypoints lie where things are, whatever is cut out of the image; matches are mutual, distinct and one-to-one."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from sylpose.features.sift import Features, detect, match_features, seen_before
+from sylpose.matches import Matches
+from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.rig import Camera
+from sylpose.simulate import demo_scene, render_frames, ring
+
+
+@pytest.fixture(scope="module")
+def camera() -> Camera:
+    return demo_scene(frames=2, size=(480, 360), n_cameras=1).rig.cameras[0]
+
+
+@pytest.fixture(scope="module")
+def images() -> list[Image]:
+    """Two pictures of one camera: the block turns by 8 degrees in front of a room that stands still."""
+    return [frame[0] for frame in render_frames(demo_scene(frames=2, size=(480, 360), n_cameras=1, turn_deg=8))]
+
+
+def grey_of(image: Image) -> Image:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
+def box_mask(left: int, top: int, right: int, bottom: int) -> BoolArray:
+    mask = np.zeros((360, 480), bool)
+    mask[top:bottom, left:right] = True
+    return mask
+
+
+def random_features(n: int, rng: np.random.Generator, size: float = 400.0) -> Features:
+    descriptors = rng.gamma(0.5, size=(n, 128)).astype(np.float32)
+    descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
+    pixels = rng.uniform(0, size, (n, 2))
+    return Features(pixels, pixels / 500, descriptors)
+
+
+# --- detection
+
+
+def test_descriptors_are_rootsift(images: list[Image], camera: Camera) -> None:
+    features = detect(images[0], camera)
+    assert len(features) > 200
+    assert features.descriptors.shape == (len(features), 128)
+    assert features.descriptors.dtype == np.float32
+    np.testing.assert_allclose(np.linalg.norm(features.descriptors, axis=1), 1, atol=1e-5)
+    assert (features.descriptors >= 0).all()
+    # The squares of RootSIFT are SIFT with a sum of one.
+    np.testing.assert_allclose((features.descriptors**2).sum(axis=1), 1, atol=1e-5)
+
+
+def test_normalized_points_are_the_pixels_undistorted(images: list[Image], camera: Camera) -> None:
+    features = detect(images[0], camera)
+    np.testing.assert_allclose(features.normalized, camera.normalize(features.pixels))
+    np.testing.assert_allclose(camera.denormalize(features.normalized), features.pixels, atol=1e-3)
+
+
+@pytest.mark.parametrize("sigma", [2.0, 3.0, 5.0])
+def test_a_keypoint_lies_at_the_middle_of_its_blob(sigma: float) -> None:
+    # The centre of the top-left pixel is (0, 0): OpenCV's SIFT is a quarter of a pixel off unless it is told not to be.
+    camera, rng = ring(1, size=(320, 240)).cameras[0], np.random.default_rng(3)
+    u, v = np.meshgrid(np.arange(320), np.arange(240))
+    errors = []
+    for _ in range(5):
+        middle = rng.uniform(60, 180, 2)
+        blob = 100 + 100 * np.exp(-((u - middle[0]) ** 2 + (v - middle[1]) ** 2) / (2 * sigma**2))
+        pixels = detect(np.rint(blob).astype(np.uint8), camera).pixels
+        errors.append(pixels[np.argmin(np.linalg.norm(pixels - middle, axis=1))] - middle)
+    np.testing.assert_allclose(np.mean(errors, axis=0), 0, atol=0.05)
+
+
+def test_grey_and_colour_give_the_same(images: list[Image], camera: Camera) -> None:
+    colour, grey = detect(images[0], camera), detect(grey_of(images[0]), camera)
+    np.testing.assert_array_equal(colour.pixels, grey.pixels)
+    np.testing.assert_array_equal(colour.descriptors, grey.descriptors)
+
+
+def test_a_part_of_an_image_in_memory_is_as_good_as_a_copy(images: list[Image], camera: Camera) -> None:
+    grey = grey_of(images[0])
+    wide = np.zeros((360, 900), np.uint8)
+    wide[:, 100:580] = grey
+    np.testing.assert_array_equal(detect(wide[:, 100:580], camera).pixels, detect(grey, camera).pixels)
+
+
+@pytest.mark.parametrize(
+    "window", [(100, 80, 300, 250), (101, 81, 300, 250), (99, 83, 311, 240), (0, 0, 200, 180), (250, 131, 480, 360)]
+)
+def test_a_mask_changes_nothing_well_inside_of_it(
+    images: list[Image], camera: Camera, window: tuple[int, int, int, int]
+) -> None:
+    left, top, right, bottom = window
+    full, part = detect(images[0], camera), detect(images[0], camera, box_mask(*window))
+    assert ((part.pixels >= [left - 1, top - 1]) & (part.pixels <= [right, bottom])).all()
+    # A large keypoint near the border may look over the crop's edge; the image's own edge is no border.
+    low = [left + 24 if left else 0, top + 24 if top else 0]
+    high = [right - 24 if right < 480 else 480, bottom - 24 if bottom < 360 else 360]
+    inside = ((full.pixels >= low) & (full.pixels <= high)).all(axis=1)
+    assert inside.sum() > 50
+    gap, nearest = cKDTree(part.pixels).query(full.pixels[inside])
+    same = gap < 0.02
+    # SIFT halves the image again and again: a crop that starts at an odd pixel samples the large keypoints elsewhere.
+    assert same.mean() > (0.97 if left % 4 == top % 4 == 0 else 0.8)
+    # Several orientations share a place: each descriptor must be there.
+    look = (full.descriptors[inside] @ part.descriptors.T).max(axis=1)
+    assert (look[same] > 0.99).mean() > 0.97
+    assert nearest.max() < len(part)
+
+
+def test_a_mask_may_have_any_shape(images: list[Image], camera: Camera) -> None:
+    v, u = np.mgrid[:360, :480]
+    disc = (u - 240) ** 2 + (v - 180) ** 2 < 90**2
+    features = detect(images[0], camera, disc)
+    assert len(features) > 30
+    assert (np.linalg.norm(features.pixels - [240, 180], axis=1) < 91).all()
+
+
+def test_nothing_to_be_seen(images: list[Image], camera: Camera) -> None:
+    for features in (
+        detect(images[0], camera, np.zeros((360, 480), bool)),
+        detect(np.zeros((360, 480, 3), np.uint8), camera),
+        detect(np.full((360, 480), 128, np.uint8), camera),
+        detect(images[0], camera, box_mask(200, 200, 201, 201)),
+    ):
+        assert len(features) <= 1
+        assert features.pixels.shape == features.normalized.shape == (len(features), 2)
+        assert features.descriptors.shape == (len(features), 128)
+
+
+def test_the_number_of_features_is_bounded(images: list[Image], camera: Camera) -> None:
+    # OpenCV keeps ties with the last one.
+    assert len(detect(images[0], camera, max_features=50)) <= 60
+    assert len(detect(images[0], camera)) > 200
+
+
+def test_detection_is_deterministic(images: list[Image], camera: Camera) -> None:
+    a, b = detect(images[1], camera), detect(images[1], camera)
+    np.testing.assert_array_equal(a.pixels, b.pixels)
+    np.testing.assert_array_equal(a.descriptors, b.descriptors)
+
+
+def test_subset_by_mask_and_by_index() -> None:
+    features = random_features(6, np.random.default_rng(0))
+    mask = np.array([True, False, True, False, False, True])
+    for some in (features.subset(mask), features.subset(np.array([0, 2, 5]))):
+        np.testing.assert_array_equal(some.pixels, features.pixels[[0, 2, 5]])
+        np.testing.assert_array_equal(some.normalized, features.normalized[[0, 2, 5]])
+        np.testing.assert_array_equal(some.descriptors, features.descriptors[[0, 2, 5]])
+    assert len(Features.none()) == len(features.subset(np.zeros(6, bool))) == 0
+
+
+# --- matching
+
+
+def naive_matches(a: Features, b: Features, ratio: float) -> set[tuple[int, int]]:
+    """The definition, one pair at a time, from distances instead of inner products."""
+
+    def ranked(one: NDArray[np.float32], many: NDArray[np.float32]) -> list[tuple[float, int]]:
+        return sorted((float(np.linalg.norm(one.astype(float) - other)), j) for j, other in enumerate(many))
+
+    found = set()
+    for i, descriptor in enumerate(a.descriptors):
+        (best, j), (second, _) = ranked(descriptor, b.descriptors)[:2]
+        if best <= ratio * second and ranked(b.descriptors[j], a.descriptors)[0][1] == i:
+            found.add((i, j))
+    return found
+
+
+def noisy_copy(a: Features, rng: np.random.Generator, noise: float, extra: int) -> tuple[Features, IntArray]:
+    """The same features in another order and a little changed, among others; and where each of them went."""
+    order = rng.permutation(len(a))
+    descriptors = a.descriptors[order] + noise * rng.standard_normal((len(a), 128)).astype(np.float32)
+    descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
+    others = random_features(extra, rng)
+    pixels = np.concatenate([a.pixels[order] + 3.0, others.pixels])
+    return Features(pixels, pixels / 500, np.concatenate([descriptors, others.descriptors])), np.argsort(order)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    n=st.integers(2, 30),
+    extra=st.integers(2, 20),
+    noise=st.sampled_from([0.0, 0.03, 0.07]),
+    ratio=st.sampled_from([0.6, 0.8, 1.0]),
+)
+def test_matching_equals_its_definition(seed: int, n: int, extra: int, noise: float, ratio: float) -> None:
+    rng = np.random.default_rng(seed)
+    a = random_features(n, rng)
+    b, _ = noisy_copy(a, rng, noise, extra)
+    pairs = match_features(a, b, ratio)
+    assert {(i, j) for i, j in pairs.tolist()} == naive_matches(a, b, ratio)
+    assert len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1])) == len(pairs)
+
+
+def test_matching_finds_what_was_shuffled() -> None:
+    rng = np.random.default_rng(1)
+    a = random_features(200, rng)
+    b, went_to = noisy_copy(a, rng, 0.02, 100)
+    pairs = match_features(a, b)
+    assert len(pairs) > 190
+    np.testing.assert_array_equal(pairs[:, 1], went_to[pairs[:, 0]])
+
+
+def test_matching_both_ways_gives_the_same_pairs_without_the_ratio() -> None:
+    rng = np.random.default_rng(2)
+    a = random_features(60, rng)
+    b, _ = noisy_copy(a, rng, 0.05, 30)
+    there = {(i, j) for i, j in match_features(a, b, 1.0).tolist()}
+    back = {(i, j) for j, i in match_features(b, a, 1.0).tolist()}
+    assert there == back
+
+
+def test_matches_on_images_are_one_to_one_and_distinct(images: list[Image], camera: Camera) -> None:
+    a, b = (detect(image, camera) for image in images)
+    pairs = match_features(a, b)
+    assert len(pairs) > 100
+    assert len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1])) == len(pairs)
+    places = np.round(np.hstack([a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]]]), 1)
+    assert len(np.unique(places, axis=0)) == len(pairs)
+
+
+def test_several_orientations_of_one_place_count_once() -> None:
+    rng = np.random.default_rng(3)
+    a = random_features(20, rng)
+    a.pixels[5] = a.pixels[4]
+    b = Features(a.pixels + 2, (a.pixels + 2) / 500, a.descriptors)
+    pairs = match_features(a, b)
+    assert sorted(pairs[:, 0].tolist()) == [i for i in range(20) if i != 5]
+
+
+def test_far_matches_are_dropped() -> None:
+    a = random_features(30, np.random.default_rng(4))
+    shift = np.linspace(0, 29, 30)
+    b = Features(a.pixels + np.column_stack([shift, 0 * shift]), a.normalized, a.descriptors)
+    assert match_features(a, b, max_shift_px=10.5)[:, 0].max() == 10
+    assert len(match_features(a, b)) == 30
+
+
+@pytest.mark.parametrize(("n", "m"), [(0, 0), (0, 5), (5, 0), (1, 5), (5, 1)])
+def test_too_few_to_compare(n: int, m: int) -> None:
+    # With one candidate there is no second best: nothing says that it is distinct.
+    rng = np.random.default_rng(5)
+    pairs = match_features(random_features(n, rng), random_features(m, rng))
+    assert pairs.shape == (0, 2)
+    assert np.issubdtype(pairs.dtype, np.integer)
+
+
+# --- what stands still
+
+
+def test_seen_before_needs_the_same_place_and_the_same_look() -> None:
+    rng = np.random.default_rng(6)
+    earlier = random_features(40, rng)
+    pixels = earlier.pixels.copy()
+    pixels[10:20] += 5.0
+    descriptors = earlier.descriptors.copy()
+    descriptors[20:30] = random_features(10, rng).descriptors
+    pixels[30:] += rng.uniform(-0.7, 0.7, (10, 2))
+    expected = np.r_[np.ones(10, bool), np.zeros(20, bool), np.ones(10, bool)]
+    np.testing.assert_array_equal(seen_before(Features(pixels, pixels, descriptors), earlier), expected)
+
+
+def test_seen_before_looks_at_all_orientations_of_a_place() -> None:
+    earlier = random_features(3, np.random.default_rng(7))
+    earlier.pixels[:] = earlier.pixels[0]
+    again = earlier.subset(np.array([2]))
+    assert seen_before(again, earlier).all()
+
+
+def test_seen_before_without_features() -> None:
+    some = random_features(4, np.random.default_rng(8))
+    assert seen_before(Features.none(), some).shape == (0,)
+    np.testing.assert_array_equal(seen_before(some, Features.none()), np.zeros(4, bool))
+    # Fewer than are asked for.
+    assert seen_before(some, some.subset(np.array([0]))).tolist() == [True, False, False, False]
+
+
+def test_the_room_is_seen_before_and_the_block_is_not(images: list[Image], camera: Camera) -> None:
+    first, second = (detect(image, camera) for image in images)
+    block = np.linalg.norm(second.pixels - [240, 180], axis=1)
+    before = seen_before(second, first)
+    pairs = match_features(first, second)
+    moved = np.linalg.norm(first.pixels[pairs[:, 0]] - second.pixels[pairs[:, 1]], axis=1)
+    assert not before[pairs[moved > 4, 1]].any()
+    assert before[block > 150].mean() > 0.6
+
+
+# --- matches
+
+
+def test_matches_from_pixels_are_undistorted(camera: Camera) -> None:
+    pixels = np.random.default_rng(9).uniform(50, 300, (2, 12, 2))
+    matches = Matches.from_pixels(camera, *pixels)
+    assert len(matches) == 12
+    np.testing.assert_allclose(matches.x, camera.normalize(pixels[0]))
+    np.testing.assert_allclose(matches.y, camera.normalize(pixels[1]))
+    assert len(Matches.none()) == 0
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "message"),
+    [
+        (np.zeros((3, 2)), np.zeros((4, 2)), "got 3 and 4"),
+        (np.zeros((3, 2)), np.full((3, 2), np.nan), "not finite"),
+        (np.full((3, 2), np.inf), np.zeros((3, 2)), "not finite"),
+    ],
+)
+def test_bad_matches_are_refused(x: FloatArray, y: FloatArray, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Matches(x, y)

@@ -1,0 +1,487 @@
+"""The distributed estimators over a simulated network: the centralised answer at every camera, and what faults do to it."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
+from functools import partial
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from sylpose import estimate_motion, open_session
+from sylpose.features.sift import detect, match_features
+from sylpose.matches import Matches
+from sylpose.moments import PairMoments
+from sylpose.numerics.arrays import FloatArray
+from sylpose.paper.centralized import CentralizedSolution, solve_centralized
+from sylpose.paper.distributed.exchange import exchange_start
+from sylpose.paper.distributed.gossip import gossip_start
+from sylpose.paper.distributed.messages import Inbox, Packet
+from sylpose.paper.distributed.refine import RefineState, refine_start, refine_step
+from sylpose.paper.distributed.simulated import (
+    Agreement,
+    Faults,
+    Nonsense,
+    run,
+    solve_exchange,
+    solve_gossip,
+    solve_refine,
+)
+from sylpose.results import Status
+from sylpose.rig import Rig
+from sylpose.simulate import arc, dome, ellipsoid, random_motion, ring, simulate_matches
+from tests.paper.test_centralized import general_cameras, moments_of, noisy_problem, orthographic, quick, seeds
+from tests.scenes import BODY, angle, around, random_rotations
+from tests.where import DATA
+
+Problem = tuple[FloatArray, list[PairMoments]]
+Solve = Callable[..., Agreement]
+
+# Messages that get lost are sent again.
+SCHEMES: dict[str, Solve] = {
+    "exchange": partial(solve_exchange, rounds=16),
+    "refine": solve_refine,
+    "gossip": solve_gossip,
+}
+schemes = pytest.mark.parametrize("solve", SCHEMES.values(), ids=list(SCHEMES))
+
+
+def seen(rig: Rig, seed: int = 0, turn: float = 5.0) -> Problem:
+    """What a rig sees of a body that turns, through perspective lenses, with noise."""
+    rng = np.random.default_rng(seed)
+    pair = simulate_matches(rig, BODY, random_motion(turn, 0.02, rng), rng=rng)
+    return np.array([c.rotation for c in rig]), [PairMoments.from_matches(m.x, m.y) for m in pair.matches]
+
+
+def of(problem: Problem, cameras: Sequence[int]) -> CentralizedSolution:
+    """The centralised answer of some cameras."""
+    return solve_centralized(problem[0][list(cameras)], [problem[1][c] for c in cameras])
+
+
+def check(found: Agreement, reference: CentralizedSolution, cameras: Sequence[int]) -> None:
+    """That these cameras all have this answer, and know it."""
+    assert found.status is Status.OK
+    assert reference.certified
+    assert found.certified
+    assert found.converged[list(cameras)].all()
+    for c in cameras:
+        assert angle(found.rotations[c], reference.rotation) < 1e-8
+    assert angle(found.rotation, reference.rotation) < 1e-8
+    assert found.spread < 1e-8
+
+
+# --- Without faults ---------------------------------------------------------------------------------------------------
+
+
+@given(seeds, st.integers(3, 6))
+@quick
+@schemes
+def test_every_camera_has_the_centralised_answer(solve: Solve, seed: int, n: int) -> None:
+    """For turns of any size."""
+    cameras, matches, _ = noisy_problem(seed, n)
+    reference = solve_centralized(cameras, moments_of(matches), aim=False)
+    assume(reference.certified)
+    found = solve(cameras, moments_of(matches), aim=False)
+    check(found, reference, range(n))
+    assert found.used == tuple(range(n))
+    np.testing.assert_allclose(found.information, reference.information, rtol=1e-5, atol=1e-5)
+
+
+@schemes
+@pytest.mark.parametrize("rig", [around(4), dome(5), ring(8, height=0.5), arc(4, 30.0, height=[0.3, -0.3, 0.3, -0.3])])
+def test_so_through_perspective_lenses(solve: Solve, rig: Rig) -> None:
+    problem = seen(rig)
+    check(solve(*problem), of(problem, range(len(rig))), range(len(rig)))
+
+
+@schemes
+def test_the_status_is_the_centralised_one_where_little_is_seen(solve: Solve) -> None:
+    found = set()
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        cameras, turn = random_rotations(rng, 4), random_rotations(rng, 1)[0]
+        moments = moments_of(orthographic(rng, cameras, turn, noise=0.6, n=4, even=False))
+        reference = solve_centralized(cameras, moments, aim=False)
+        answer = solve(cameras, moments, aim=False)
+        if angle(answer.rotation, reference.rotation) < 1e-6:  # refine may find another minimum
+            assert answer.status is reference.status
+            found.add(answer.status)
+    assert {Status.OK, Status.TURN_NOT_OBSERVABLE} <= found
+
+
+@schemes
+@pytest.mark.parametrize("n", [2, 5])
+def test_parallel_cameras_agree_on_one_of_two_mirrored_rotations(solve: Solve, n: int) -> None:
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        cameras, turn = np.repeat(random_rotations(rng, 1), n, axis=0), Rotation.from_rotvec(rng.normal(size=3) * 0.2)
+        moments = moments_of(orthographic(rng, cameras, turn.as_matrix(), noise=0.02))
+        reference = solve_centralized(cameras, moments, aim=False)
+        found = solve(cameras, moments, aim=False)
+        assert found.status is reference.status is not Status.OK
+        assert min(angle(found.rotation, c) for c in reference.candidates) < 1e-6
+
+
+@schemes
+@pytest.mark.parametrize("unit", [1e-8, 1e4, 1e6])
+def test_orthographic_points_have_any_unit(solve: Solve, unit: float) -> None:
+    cameras, matches, _ = noisy_problem(1, 4)
+    moments = moments_of([(unit * x, unit * y) for x, y in matches])
+    check(solve(cameras, moments, aim=False), solve_centralized(cameras, moments, aim=False), range(4))
+
+
+def test_an_exchange_of_what_no_lens_shows_says_so() -> None:
+    cameras, matches, _ = noisy_problem(1, 4)
+    found = solve_exchange(cameras, moments_of([(1e4 * x, 1e4 * y) for x, y in matches]))
+    assert found.status is Status.NOT_CONVERGED
+    assert "89 degrees" in found.refused[0]
+
+
+def test_exchange_is_the_centralised_answer_to_the_bit_in_one_round() -> None:
+    problem = seen(dome(5))
+    found, reference = solve_exchange(*problem), of(problem, range(5))
+    assert found.rounds == 1
+    assert (found.sent == 368).all()
+    assert (found.received == 4 * 368).all()
+    np.testing.assert_array_equal(found.rotations, np.broadcast_to(reference.rotation, (5, 3, 3)))
+    np.testing.assert_array_equal(found.information, reference.information)
+
+
+@pytest.mark.parametrize("rig", [around(16), dome(16), ring(16)])
+def test_sixteen_cameras_refine_in_at_most_a_hundred_rounds_of_72_bytes(rig: Rig) -> None:
+    problem = seen(rig)
+    found = solve_refine(*problem)
+    check(found, of(problem, range(16)), range(16))
+    assert found.rounds <= 100
+    # 8 bytes of header each round; the last ones, when all is settled, say how well the answer is known: 72 bytes more. A
+    # leap costs twice those and 40.
+    leap = 2 * 72 + 40
+    more = found.sent - 80 * (found.rounds + 1)
+    assert all(m % 72 == 0 or (m >= leap and (m - leap) % 72 == 0) for m in more)
+    assert (more <= 4 * 72 + leap).all()
+
+
+@given(seeds)
+@settings(max_examples=10, deadline=None)
+def test_refine_turns_with_the_world_and_does_not_care_for_the_order(seed: int) -> None:
+    cameras, matches, _ = noisy_problem(seed, 3)
+    moments = moments_of(matches)
+    rng = np.random.default_rng(seed)
+    new, order = random_rotations(rng, 1)[0], rng.permutation(3)
+    a = solve_refine(cameras, moments, aim=False)
+    assume(a.status is Status.OK)
+    turned = solve_refine(cameras @ new.T, moments, aim=False)
+    assert angle(turned.rotation, new @ a.rotation @ new.T) < 1e-8
+    other = solve_refine(cameras[order], [moments[c] for c in order], aim=False)
+    assert angle(other.rotation, a.rotation) < 1e-8
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_narrow_arc_ends_in_a_minimum_and_says_that_it_may_not_be_the_best(seed: int) -> None:
+    """The start is near the saddle between two mirrored minima: ADMM stays there unless it is pushed."""
+    problem = seen(arc(4, 10.0), seed)
+    found, reference = solve_refine(*problem), of(problem, range(4))
+    assert not reference.certified
+    assert found.status is Status.NOT_CERTIFIED
+    assert min(angle(found.rotation, other) for other in reference.candidates) < 1e-7
+    assert np.linalg.eigvalsh(found.information)[0] > 0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_refine_leaves_the_saddle_of_cameras_that_see_little_depth(seed: int) -> None:
+    """As on real recordings. An arc, a flat body, unequal numbers of matches: between two mirrored minima there is a
+    saddle that is hardly steeper than they, and far from both; ADMM starts there."""
+    rng = np.random.default_rng(seed)
+    rig = arc(4, 38.0)
+    pair = simulate_matches(rig, ellipsoid((0.15, 0.15, 0.05)), random_motion(10.0, 0.02, rng), rng=rng)
+    counts = (60, 20, 40, 10)
+    moments = [PairMoments.from_matches(m.x[:n], m.y[:n]) for m, n in zip(pair.matches, counts, strict=True)]
+    problem = np.array([c.rotation for c in rig]), moments
+    reference, found = of(problem, range(4)), solve_refine(*problem)
+    assert found.converged.all()
+    assert found.rounds <= 100
+    assert angle(found.rotation, reference.rotation) < 1e-8
+    assert found.status is (Status.OK if reference.certified else Status.NOT_CERTIFIED)
+
+
+SHARED = DATA / "temple"
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="the recordings are not here")
+def test_refine_has_the_centralised_answer_on_a_recording() -> None:
+    session, before, n_certified = open_session(SHARED), None, 0
+    for frames in session.frames():
+        now = [detect(i, c) for i, c in zip(frames.images, session.rig, strict=True) if i is not None]
+        if before is not None:
+            pairs = [match_features(a, b) for a, b in zip(before, now, strict=True)]
+            matches = [
+                Matches(a.normalized[p[:, 0]], b.normalized[p[:, 1]])
+                for a, b, p in zip(before, now, pairs, strict=True)
+            ]
+            good = estimate_motion(session.rig, matches).inliers
+            moments = [PairMoments.from_matches(m.x[i], m.y[i]) for m, i in zip(matches, good, strict=True)]
+            problem = np.array([c.rotation for c in session.rig]), moments
+            reference, found = of(problem, range(4)), solve_refine(*problem)
+            n_certified += reference.certified
+            assert found.converged.all()
+            assert found.rounds <= 100
+            if reference.certified:
+                check(found, reference, range(4))
+        before = now
+    assert n_certified > 0
+
+
+@pytest.mark.parametrize("rig", [ring(4), arc(4, 40 / 3)])
+@pytest.mark.parametrize("loss", [0.1, 0.3])
+def test_loss_costs_rounds_and_nothing_else_even_where_plain_admm_crawls(rig: Rig, loss: float) -> None:
+    problem = seen(rig)
+    found, without = solve_refine(*problem, faults=Faults(loss=loss)), solve_refine(*problem)
+    assert found.converged.all()
+    np.testing.assert_array_equal(found.rotations, without.rotations)
+
+
+@schemes
+def test_a_camera_that_sees_nothing_has_the_answer_of_the_others(solve: Solve) -> None:
+    cameras, moments = seen(around(4))
+    moments[2] = PairMoments.zero()
+    check(solve(cameras, moments), of((cameras, moments), [0, 1, 3]), range(4))
+
+
+GRAPHS = {
+    "line": [(c, c + 1) for c in range(8)],
+    "ring": [(c, (c + 1) % 9) for c in range(9)],
+    "star": [(0, c) for c in range(1, 9)],
+    "grid": [(c, c + 1) for c in range(9) if c % 3 < 2] + [(c, c + 3) for c in range(6)],
+    "complete": [(a, b) for a in range(9) for b in range(a)],
+}
+
+
+@pytest.mark.parametrize("graph", GRAPHS.values(), ids=list(GRAPHS))
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_gossip_reaches_all_on_any_graph(graph: list[tuple[int, int]], loss: float) -> None:
+    problem = seen(dome(9))
+    found = solve_gossip(*problem, graph=graph, faults=Faults(loss=loss))
+    check(found, of(problem, range(9)), range(9))
+    assert found.rounds < 300
+
+
+# --- With faults ------------------------------------------------------------------------------------------------------
+
+
+@schemes
+@pytest.mark.parametrize("faults", [Faults(loss=0.3, seed=1), Faults(delay=3, seed=2), Faults(0.15, 2, seed=3)])
+def test_loss_and_delay_cost_rounds_and_nothing_else(solve: Solve, faults: Faults) -> None:
+    problem = seen(around(5))
+    without = solve(*problem)
+    found = solve(*problem, faults=faults)
+    check(found, of(problem, range(5)), range(5))
+    assert found.rounds >= without.rounds
+    assert not found.refused
+
+
+def test_what_an_exchange_of_one_round_missed_is_told() -> None:
+    problem = seen(dome(5))
+    found = solve_exchange(*problem, faults=Faults(loss=0.5, seed=1))
+    assert found.status is Status.NOT_CONVERGED
+    assert found.spread > 1e-4
+
+
+@schemes
+def test_a_camera_that_dies_before_it_says_anything_is_left_out(solve: Solve) -> None:
+    problem, rest = seen(around(5)), [0, 1, 2, 4]
+    found = (
+        solve(*problem, graph=GRAPHS["complete"][:10], faults=Faults(dies={3: 0}))
+        if solve is solve_gossip
+        else solve(*problem, faults=Faults(dies={3: 0}))
+    )
+    check(found, of(problem, rest), rest)
+    assert found.used == tuple(rest)
+    assert np.isnan(found.rotations[3]).all()
+    assert found.sent[3] == 0
+
+
+def test_a_camera_that_dies_in_the_middle_of_refining_or_gossip_is_left_out() -> None:
+    problem, rest = seen(around(5)), [0, 1, 2, 4]
+    for died in (1, 3, 10):
+        check(solve_refine(*problem, faults=Faults(dies={3: died})), of(problem, rest), rest)
+        found = solve_gossip(*problem, graph=GRAPHS["complete"][:10], faults=Faults(dies={3: died}))
+        check(found, of(problem, rest), rest)
+
+
+def test_a_camera_that_dies_after_its_exchange_is_still_in_it() -> None:
+    problem, rest = seen(around(5)), [0, 1, 2, 4]
+    check(solve_exchange(*problem, faults=Faults(dies={3: 1})), of(problem, range(5)), rest)
+
+
+def test_a_network_that_falls_in_two_does_not_call_itself_agreed() -> None:
+    found = solve_gossip(*seen(around(5)), graph=GRAPHS["line"][:4], faults=Faults(dies={2: 4}))
+    assert found.status is Status.NOT_CONVERGED
+    assert found.spread > 1e-4
+
+
+@schemes
+@pytest.mark.parametrize("loss", [0.0, 0.1])
+def test_a_camera_that_joins_late_is_in_the_answer(solve: Solve, loss: float) -> None:
+    problem = seen(around(5))
+    check(solve(*problem, faults=Faults(loss=loss, joins={1: 6}, seed=4)), of(problem, range(5)), range(5))
+
+
+def test_a_late_camera_that_is_seldom_heard_is_not_taken_for_one_that_never_settles() -> None:
+    cameras, matches, _ = noisy_problem(28, 5)
+    moments = moments_of(matches)
+    found = solve_refine(cameras, moments, aim=False, faults=Faults(loss=0.35, joins={0: 13}, seed=28))
+    check(found, solve_centralized(cameras, moments, aim=False), range(5))
+    assert not found.refused
+
+
+@schemes
+@pytest.mark.parametrize("kind", [k for k in get_args(Nonsense) if k != "false"])
+def test_nonsense_is_left_out_and_its_sender_named(solve: Solve, kind: Nonsense) -> None:
+    problem, rest = seen(around(6)), [0, 1, 2, 3, 5]
+    graph = {"graph": [(a, b) for a in range(6) for b in range(a)]} if solve is solve_gossip else {}
+    found = solve(*problem, faults=Faults(nonsense={4: kind}), **graph)
+    check(found, of(problem, rest), rest)
+    assert list(found.refused) == [4]
+    assert found.used == tuple(rest)
+
+
+def test_a_camera_whose_rotation_is_another_in_every_round_is_left_out_and_named() -> None:
+    problem, rest = seen(around(6)), [0, 1, 2, 3, 5]
+    for seed in range(3):
+        found = solve_refine(*problem, faults=Faults(nonsense={4: "false"}, seed=seed))
+        check(found, of(problem, rest), rest)
+        assert found.refused == {4: "its rotation never settles"}
+
+
+@pytest.mark.parametrize("solve", [solve_exchange, partial(solve_gossip, bound=100)])
+def test_false_evidence_is_believed_but_the_answer_is_not_called_good(solve: Solve) -> None:
+    """That sender's own answer differs, or nothing ever settles."""
+    found = solve(*seen(around(5)), faults=Faults(nonsense={4: "false"}))
+    assert found.status is Status.NOT_CONVERGED
+
+
+@pytest.mark.parametrize("solve", [solve_refine, solve_gossip])
+def test_too_few_rounds_are_no_answer(solve: Solve) -> None:
+    found = solve(*seen(around(4)), bound=8)
+    assert found.status is Status.NOT_CONVERGED
+    assert found.rounds == 8
+    assert np.isnan(found.rotation).all()
+    assert not found.information.any()
+
+
+# --- Nothing is shared ------------------------------------------------------------------------------------------------
+
+
+def arrays(value: Any) -> list[FloatArray]:
+    """All arrays in a state."""
+    if isinstance(value, np.ndarray):
+        return [value]
+    if is_dataclass(value) and not isinstance(value, type):
+        return [a for f in fields(value) for a in arrays(getattr(value, f.name))]
+    if isinstance(value, dict):
+        return [a for v in value.values() for a in arrays(v)]
+    return [a for v in value for a in arrays(v)] if isinstance(value, tuple | list) else []
+
+
+def starts(problem: Problem) -> dict[str, list[Callable[[], tuple[Any, list[Packet]]]]]:
+    cameras, moments = problem
+    n = len(cameras)
+    ring_graph = [(c, (c + 1) % n) for c in range(n)]
+    return {
+        "exchange": [partial(exchange_start, c, cameras, moments[c]) for c in range(n)],
+        "refine": [partial(refine_start, c, range(n), cameras[c], moments[c]) for c in range(n)],
+        "gossip": [partial(gossip_start, c, n, ring_graph, cameras[c], moments[c]) for c in range(n)],
+    }
+
+
+def test_cameras_may_live_in_different_processes() -> None:
+    """Every state is packed into bytes and unpacked between rounds, as if sent to another machine."""
+    begin = starts(seen(around(4)))["refine"]
+
+    def packed_step(state: RefineState, inbox: Inbox) -> tuple[RefineState, list[Packet]]:
+        moved: RefineState = pickle.loads(pickle.dumps(state))
+        return refine_step(moved, [(c, bytes(bytearray(data))) for c, data in inbox])
+
+    faults = Faults(loss=0.05)
+    here, there = run(begin, refine_step, faults, 300), run(begin, packed_step, faults, 300)
+    assert here.rounds == there.rounds
+    for a, b in zip(here.states, there.states, strict=True):
+        for x, y in zip(arrays(a), arrays(b), strict=True):
+            np.testing.assert_array_equal(x, y)
+
+
+def test_states_of_different_cameras_share_no_memory() -> None:
+    begin = starts(seen(around(3)))["refine"]
+    states = run(begin, refine_step, Faults(loss=0.1), 300).states
+    for a in range(3):
+        for b in range(a):
+            assert not any(np.shares_memory(x, y) for x in arrays(states[a]) for y in arrays(states[b]))
+
+
+def test_the_same_seed_gives_the_same_run() -> None:
+    problem = seen(around(4))
+    a, b, c = (solve_refine(*problem, faults=Faults(0.2, 2, seed=s)) for s in (5, 5, 6))
+    np.testing.assert_array_equal(a.rotations, b.rotations)
+    np.testing.assert_array_equal(a.received, b.received)
+    assert (a.received != c.received).any()
+
+
+def test_what_is_sent_is_received_or_lost() -> None:
+    problem = seen(around(4))
+    found = solve_exchange(*problem, rounds=50, faults=Faults(loss=0.25, seed=7))
+    assert (found.sent == 50 * 368).all()
+    assert found.received.sum() / (3 * found.sent.sum()) == pytest.approx(0.75, abs=0.05)
+
+
+# --- Bad input --------------------------------------------------------------------------------------------------------
+
+
+@schemes
+def test_bad_input_is_refused(solve: Solve) -> None:
+    cameras, moments = seen(around(3))
+    with pytest.raises(ValueError, match=r"rotations must be \(C, 3, 3\)"):
+        solve(cameras[:2], moments)
+    with pytest.raises(ValueError, match=r"rotations\[1\] is not a rotation"):
+        solve([cameras[0], 2 * cameras[1], cameras[2]], moments)
+    with pytest.raises(ValueError, match="no camera has matches"):
+        solve(cameras, [PairMoments.zero()] * 3)
+    with pytest.raises(ValueError, match=r"faults of cameras \[3\]: there are cameras 0 to 2"):
+        solve(cameras, moments, faults=Faults(dies={3: 1}))
+
+
+def test_impossible_faults_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"loss must be in \[0, 1\)"):
+        Faults(loss=1.0)
+    with pytest.raises(ValueError, match="delay not negative"):
+        Faults(delay=-1)
+    with pytest.raises(ValueError, match="nonsense must be one of nan, huge"):
+        Faults(nonsense={0: "noise"})  # type: ignore[dict-item]
+
+
+def test_a_graph_in_two_parts_is_refused() -> None:
+    with pytest.raises(ValueError, match="cameras 2 cannot reach camera 0"):
+        solve_gossip(*seen(around(3)), graph=[(0, 1)])
+
+
+def test_one_camera_alone_keeps_a_solution_of_its_own() -> None:
+    problem = seen(around(1))
+    for solve in SCHEMES.values():
+        found = solve(*problem)
+        assert found.status in (Status.NOT_CERTIFIED, Status.NOT_CONVERGED)
+        assert not found.certified
+    assert angle(solve_exchange(*problem).rotation, of(problem, [0]).rotation) < 1e-12
+
+
+@schemes
+def test_exact_without_noise(solve: Solve) -> None:
+    rng = np.random.default_rng(0)
+    cameras, turn = general_cameras(rng, 5), random_rotations(rng, 1)[0]
+    found = solve(cameras, moments_of(orthographic(rng, cameras, turn)), aim=False)
+    assert found.status is Status.OK
+    assert angle(found.rotation, turn) < 1e-8

@@ -1,0 +1,315 @@
+"""Bad cameras: found, named with what is wrong, left out; good ones are not; what cannot be told is said."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from benchmarks import sensors as bench
+from sylpose.moments import PairMoments
+from sylpose.numerics.arrays import FloatArray
+from sylpose.paper import affine_votes as agreement
+from sylpose.paper.bad_cameras import Diagnosis, diagnose, solve_robust, suspect_cameras
+from sylpose.paper.centralized import solve_centralized
+from sylpose.paper.orthographic import views_of
+from sylpose.results import Status
+from tests.scenes import angle, random_rotations
+
+seeds = st.integers(0, 2**32 - 1)
+quick = settings(max_examples=15, deadline=None)
+
+
+def general_cameras(rng: np.random.Generator, n: int) -> FloatArray:
+    """The first three look along three axes, the others anywhere."""
+    base = np.array([np.roll(np.eye(3), k, axis=0) for k in range(3)])
+    return np.asarray(np.concatenate([base, random_rotations(rng, n - 3)]) @ random_rotations(rng, 1)[0])
+
+
+def orthographic(
+    rng: np.random.Generator, cameras: FloatArray, turn: FloatArray, size: float = 1.0, noise: float = 0.0
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Per camera the images of its own points, every one of them also at the opposite depth."""
+    matches = []
+    for q in cameras:
+        points = size * rng.normal(size=(30, 3))
+        points = np.concatenate([points, points * [1, 1, -1]])
+        x, y = points[:, :2], (points @ (q @ turn @ q.T).T)[:, :2]
+        matches.append((x, y + noise * rng.normal(size=y.shape)))
+    return matches
+
+
+def moments_of(matches: list[tuple[FloatArray, FloatArray]]) -> list[PairMoments]:
+    return [PairMoments.from_matches(x, y) for x, y in matches]
+
+
+def kinds(diagnosis: Diagnosis) -> dict[int, str]:
+    return {c: fault.kind for c, fault in enumerate(diagnosis.faults) if fault is not None}
+
+
+def case(name: str, size: float = 0.0) -> bench.Case:
+    return next(c for c in bench.CASES if (c.name, c.size) == (name, size))
+
+
+# --- Monte Carlo, small (benchmarks/sensors.py is the large one) --------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [3, 4, 8])
+def test_good_cameras_are_not_named(n: int) -> None:
+    """Ellipsoids and boxes in perspective, whose plain estimate is biased by degrees."""
+    for seed in range(4):
+        for turn in (5.0, 15.0):
+            outcome = bench.outcome(bench.scene(n, turn, seed, None))
+            assert outcome.false == 0
+            assert not outcome.unsure
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "found_at_least"),
+    [("turned", 180, 0.6), ("mirrored", 0, 0.7), ("frozen", 0.5, 0.7), ("junk", 0, 1.0)],
+)
+def test_a_bad_camera_of_eight_is_named_and_does_no_harm(name: str, size: float, found_at_least: float) -> None:
+    fault = case(name, size)
+    outcomes = [bench.outcome(bench.scene(8, 10.0, seed, fault), fault.kind) for seed in range(10)]
+    assert sum(o.found for o in outcomes) >= found_at_least * len(outcomes)
+    assert sum(o.right for o in outcomes) >= 0.9 * sum(o.found for o in outcomes)
+    assert sum(o.false for o in outcomes) == 0
+    errors = np.array([o[:3] for o in outcomes])
+    median = np.median(errors, axis=0)
+    assert median[2] <= 2 * median[1]
+    assert np.quantile(errors[:, 2], 0.9) <= 2 * np.quantile(errors[:, 1], 0.9)
+
+
+@pytest.mark.parametrize("size", [5, 20])
+def test_a_fault_that_is_too_small_to_be_seen_is_too_small_to_harm(size: float) -> None:
+    outcomes = [bench.outcome(bench.scene(4, 5.0, seed, case("turned", size))) for seed in range(10)]
+    errors = np.median([o[:3] for o in outcomes], axis=0)
+    assert errors[2] <= 2 * errors[1]
+
+
+def test_two_bad_cameras_of_eight_are_both_named() -> None:
+    found = [bench.outcome(bench.scene(8, 15.0, seed, case("junk"), 2), "junk") for seed in range(5)]
+    assert sum(o.right for o in found) >= 9
+    found = [bench.outcome(bench.scene(8, 15.0, seed, case("turned", 180), 2), "calibration") for seed in range(8)]
+    assert sum(o.right for o in found) >= 8
+    assert sum(o.false for o in found) <= 1
+
+
+# --- What is said ------------------------------------------------------------------------------------------------------
+
+
+def test_the_result_is_that_without_the_named_camera_and_the_text_names_it() -> None:
+    s = bench.scene(8, 10.0, 3, case("junk"))
+    names = [f"cam_{k}" for k in range(8)]
+    robust = solve_robust(s.rotations, s.moments, names=names)
+    bad = s.bad[0]
+    fault = robust.faults[bad]
+    assert fault is not None
+    assert fault.camera == names[bad]
+    assert names[bad] in fault.text
+    assert "junk" in robust.diagnosis.text
+    assert robust.weights[bad] == 0
+    assert fault.score == robust.diagnosis.scores[bad] > agreement.FAULT
+    rest = [c for c in range(8) if c != bad]
+    assert (robust.weights[rest] == 1).all()
+    by_hand = solve_centralized(s.rotations[rest], [s.moments[c] for c in rest])
+    assert robust.solution is not None
+    np.testing.assert_allclose(robust.solution.rotation, by_hand.rotation, atol=1e-12)
+    assert robust.status is (Status.OK if by_hand.certified else Status.NOT_CERTIFIED)
+
+
+def test_the_status_is_that_of_the_solution() -> None:
+    """Few noisy matches: many of these do not see all of the turn."""
+    found = set()
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        cameras, turn = random_rotations(rng, 4), random_rotations(rng, 1)[0]
+        moments = []
+        for q in cameras:
+            points = rng.normal(size=(8, 3))
+            x, y = (points @ q.T)[:, :2], (points @ turn.T @ q.T)[:, :2]
+            moments.append(PairMoments.from_matches(*(p + 0.5 * rng.normal(size=p.shape) for p in (x, y))))
+        robust = solve_robust(cameras, moments, aim=False)
+        if robust.solution is not None and robust.diagnosis.consistent:
+            assert robust.status is robust.solution.status
+            np.testing.assert_array_equal(robust.rotation, robust.solution.rotation)
+            np.testing.assert_array_equal(robust.information, robust.solution.information)
+            found.add(robust.status)
+    assert found == {Status.OK, Status.NOT_CERTIFIED, Status.TURN_NOT_OBSERVABLE}
+
+
+def test_without_faults_it_is_the_plain_estimate() -> None:
+    s = bench.scene(4, 5.0, 0, None)
+    robust, plain = solve_robust(s.rotations, s.moments), solve_centralized(s.rotations, s.moments)
+    assert (robust.weights == 1).all()
+    assert robust.solution is not None
+    np.testing.assert_array_equal(robust.solution.rotation, plain.rotation)
+    assert robust.diagnosis.text == "No camera is found to be at fault."
+
+
+def test_of_two_cameras_that_disagree_none_is_named() -> None:
+    """The object turns about the first camera's axis; the second looks the same way and says that it does not."""
+    rng = np.random.default_rng(0)
+    x = 0.05 * rng.normal(size=(40, 2))
+    turned = x @ Rotation.from_rotvec([0, 0, 0.4]).as_matrix()[:2, :2].T
+    back = x @ Rotation.from_rotvec([0, 0, -0.4]).as_matrix()[:2, :2].T
+    moments = [PairMoments.from_matches(x, y + 1e-4 * rng.normal(size=x.shape)) for y in (turned, back)]
+    robust = solve_robust([np.eye(3)] * 2, moments, names=["left", "right"])
+    assert robust.faults == (None, None)
+    assert robust.status is Status.NOT_CONSISTENT
+    assert (robust.weights == 1).all()
+    assert "cameras disagree" in robust.diagnosis.text
+    agreeing = solve_robust([np.eye(3)] * 2, [moments[0]] * 2)
+    assert agreeing.diagnosis.consistent
+
+
+def test_no_majority_is_no_consistent_motion() -> None:
+    """Two cameras say one thing and two the opposite."""
+    rng = np.random.default_rng(1)
+    x = 0.05 * rng.normal(size=(40, 2))
+    moments = []
+    for sign in (1, 1, -1, -1):
+        y = x @ Rotation.from_rotvec([0, 0, 0.4 * sign]).as_matrix()[:2, :2].T
+        moments.append(PairMoments.from_matches(x, y + 1e-4 * rng.normal(size=x.shape)))
+    robust = solve_robust([np.eye(3)] * 4, moments)
+    assert robust.status is Status.NOT_CONSISTENT
+    assert robust.faults == (None,) * 4
+
+
+def test_all_cameras_junk_is_no_solution() -> None:
+    rng = np.random.default_rng(2)
+    moments = [PairMoments.from_matches(*rng.uniform(-0.1, 0.1, (2, 60, 2))) for _ in range(3)]
+    robust = solve_robust(random_rotations(rng, 3), moments)
+    assert robust.status is Status.NOT_CONSISTENT
+    assert robust.solution is None
+    assert np.isnan(robust.rotation).all()
+    assert robust.rotation.shape == (3, 3)
+    np.testing.assert_array_equal(robust.information, np.zeros((3, 3)))
+    assert kinds(robust.diagnosis) == {0: "junk", 1: "junk", 2: "junk"}
+
+
+@pytest.mark.parametrize("noise", [0.0, 5e-4])
+def test_a_frozen_camera_is_none_while_the_object_stands_still(noise: float) -> None:
+    rng = np.random.default_rng(3)
+    cameras = general_cameras(rng, 4)
+    images = [0.05 * rng.normal(size=(40, 2)) for _ in cameras]
+    moments = [PairMoments.from_matches(x, x + 5e-4 * rng.normal(size=x.shape)) for x in images[1:]]
+    frozen = PairMoments.from_matches(images[0], images[0] + noise * rng.normal(size=images[0].shape))
+    robust = solve_robust(cameras, [frozen, *moments])
+    assert robust.faults == (None,) * 4
+    assert robust.solution is not None
+    assert angle(robust.solution.rotation, np.eye(3)) < 0.02
+
+
+@pytest.mark.parametrize("noise", [0.0, 5e-4])
+def test_two_frozen_cameras_of_four_are_named_for_a_still_object_cannot_be_seen_to_move(noise: float) -> None:
+    rng = np.random.default_rng(1)
+    cameras, turn = general_cameras(rng, 4), Rotation.from_rotvec([0.2, 0.2, -0.2]).as_matrix()
+    matches = orthographic(rng, cameras, turn, size=0.05, noise=5e-4)
+    for c in (0, 3):
+        x = matches[c][0]
+        matches[c] = x, x + noise * rng.normal(size=x.shape)
+    assert kinds(diagnose(cameras, moments_of(matches), aim=False)) == {0: "frozen", 3: "frozen"}
+
+
+def test_cameras_that_see_too_little_are_not_judged() -> None:
+    s = bench.scene(8, 10.0, 0, case("junk"))
+    few = PairMoments.from_matches(np.eye(2) * 0.1, np.eye(2) * 0.1)
+    line = np.outer(np.linspace(-0.1, 0.1, 30), [1.0, 1.0])
+    extra = [few, PairMoments.zero(), PairMoments.from_matches(line, line)]
+    alone = diagnose(s.rotations, s.moments)
+    more = diagnose(np.concatenate([s.rotations, s.rotations[:3]]), [*s.moments, *extra])
+    assert np.isnan(more.scores[8:]).all()
+    assert (more.weights[8:] == 1).all()
+    assert kinds(more) == kinds(alone)
+    np.testing.assert_allclose(more.scores[:8], alone.scores, rtol=1e-9)
+
+
+def test_a_rotation_found_by_other_means_judges_the_cameras_as_well() -> None:
+    s = bench.scene(8, 10.0, 5, case("turned", 180))
+    at_truth = suspect_cameras(s.rotations, s.moments, s.truth)
+    assert kinds(at_truth) == {s.bad[0]: "calibration"}
+    good = bench.scene(8, 10.0, 5, None)
+    assert kinds(suspect_cameras(good.rotations, good.moments, good.truth)) == {}
+    wrong = suspect_cameras(good.rotations, good.moments, Rotation.from_rotvec([0.5, 0.5, 0.5]).as_matrix())
+    assert not wrong.consistent
+
+
+# --- Mathematics -------------------------------------------------------------------------------------------------------
+
+
+@given(seeds, st.integers(4, 8), st.floats(0, 1.5))
+@quick
+def test_noise_free_orthographic_cameras_agree_on_the_truth(seed: int, n: int, turn_angle: float) -> None:
+    rng = np.random.default_rng(seed)
+    cameras = general_cameras(rng, n)
+    turn = Rotation.from_rotvec(turn_angle * random_rotations(rng, 1)[0, 0]).as_matrix()
+    diagnosis = diagnose(cameras, moments_of(orthographic(rng, cameras, turn)), aim=False)
+    assert kinds(diagnosis) == {}
+    assert angle(diagnosis.rotation, turn) < 0.05
+    at_truth = suspect_cameras(cameras, moments_of(orthographic(rng, cameras, turn)), turn, aim=False)
+    assert at_truth.scores.max() < 1e-9
+
+
+@given(seeds)
+@quick
+def test_equivariant_under_a_change_of_world_frame_and_order(seed: int) -> None:
+    s = bench.scene(5, 10.0, seed % 1000, case("junk"))
+    rng = np.random.default_rng(seed)
+    new_from_old, order = random_rotations(rng, 1)[0], rng.permutation(5)
+    a = diagnose(s.rotations, s.moments)
+    b = diagnose(s.rotations[order] @ new_from_old.T, [s.moments[c] for c in order])
+    np.testing.assert_allclose(b.scores, a.scores[order], rtol=1e-3, atol=1e-3)
+    assert angle(b.rotation, new_from_old @ a.rotation @ new_from_old.T) < 1e-4
+    assert kinds(b) == {k: a.faults[c].kind for k, c in enumerate(order) if a.faults[c] is not None}
+
+
+@given(seeds)
+@quick
+def test_derivative_of_the_affine_map_against_finite_differences(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    s = bench.scene(4, 10.0, seed % 100, None)
+    fits = agreement.affine_fits(views_of(s.rotations, s.moments))
+    R = Rotation.from_rotvec(0.3 * rng.normal(size=3)).as_matrix()
+    at = agreement.score(fits, R[None])
+    m = (fits.axes_y[:, :2] @ R @ np.swapaxes(fits.axes_x, 1, 2))[:, :, 2]
+    pull = (at.precision[0] @ at.difference[0][..., None]).reshape(-1, 2, 2)
+    slopes = agreement.SLOPE**2 * np.einsum("ci,cij->cj", m, pull)
+
+    def predicted(w: FloatArray) -> FloatArray:
+        seen = fits.axes_y[:, :2] @ Rotation.from_rotvec(w).as_matrix() @ R @ np.swapaxes(fits.axes_x, 1, 2)
+        return np.asarray((seen[:, :, :2] + seen[:, :, 2, None] * slopes[:, None]).reshape(-1, 4))
+
+    e = 1e-6 * np.eye(3)
+    numeric = np.stack([(predicted(d) - predicted(-d)) / 2e-6 for d in e], axis=-1)
+    np.testing.assert_allclose(at.jacobian[0], numeric, atol=1e-8)
+
+
+def test_thousands_of_cameras_take_linear_time() -> None:
+    s = bench.scene(50, 10.0, 0, case("turned", 180))
+
+    def seconds(copies: int) -> float:
+        rotations, moments = np.tile(s.rotations, (copies, 1, 1)), s.moments * copies
+        start = time.process_time()
+        diagnosis = diagnose(rotations, moments)
+        assert len(kinds(diagnosis)) in (0, copies)
+        return time.process_time() - start
+
+    seconds(1)
+    assert seconds(40) < 80 * min(seconds(2) for _ in range(3))  # 20 times the cameras
+
+
+def test_bad_input_is_refused() -> None:
+    s = bench.scene(3, 5.0, 0, None)
+    with pytest.raises(ValueError, match="names: 2 for 3 cameras"):
+        solve_robust(s.rotations, s.moments, names=["a", "b"])
+    with pytest.raises(ValueError, match=r"rotations must be \(C, 3, 3\) for C = 2"):
+        diagnose(s.rotations, s.moments[:2])
+    with pytest.raises(ValueError, match="not a rotation matrix"):
+        suspect_cameras(s.rotations, s.moments, 2 * np.eye(3))
+    with pytest.raises(ValueError, match="spread"):
+        solve_robust(s.rotations, [PairMoments.zero()] * 3)

@@ -1,0 +1,564 @@
+"""Reports: trajectory files, plots, overlay videos, the picture of the rig."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.numerics.arrays import FloatArray, Image
+from sylpose.report import drawing, overlay, plots
+from sylpose.report.files import TrajectoryWriter, output_folder, read_trajectory, read_tum, write_tum
+from sylpose.report.overlay import OverlayWriter, Shown
+from sylpose.report.plots import plot_trajectory, summary
+from sylpose.report.rigview import describe_rig, meeting_point, plot_rig, view_axes
+from sylpose.results import FramePose, Status, Trajectory
+from sylpose.rig import Camera, Rig
+from tests.where import DATA
+
+TEMPLE = DATA / "temple"
+NAMES = ("left", "right, upper")
+
+
+def frame_pose(
+    index: int,
+    pose: RigidTransform | None,
+    status: Status = Status.TRACKED,
+    sigma: float = 0.01,
+    cameras: int = 2,
+    time: float | None = None,
+) -> FramePose:
+    counts = np.full(cameras, 40 + index if pose is not None else 0, dtype=np.int64)
+    return FramePose(
+        index=index,
+        time=index / 7 if time is None else time,
+        status=status,
+        world_from_object=pose,
+        covariance=np.diag(np.full(6, sigma**2 if pose is not None else np.inf)),
+        inliers=counts,
+        residuals=np.full(cameras, 0.5 if pose is not None else np.nan),
+    )
+
+
+def turning(n: int, degrees: float, axis: str = "y", cameras: int = 2) -> Trajectory:
+    """Turns by `degrees` per frame; frame 2 has no pose, of frame 3 the displacement is not known."""
+    frames = [frame_pose(0, RigidTransform.from_translation([0, 0, 2.0]), Status.FIRST, sigma=0, cameras=cameras)]
+    for i in range(1, n):
+        pose = RigidTransform.from_components(
+            [0.01 * i, 0, 2], Rotation.from_rotvec(np.radians(degrees) * i * np.eye(3)["xyz".index(axis)])
+        )
+        status = Status.SCALE_NOT_OBSERVABLE if i == 3 else Status.TRACKED
+        frame = frame_pose(i, pose, status, cameras=cameras)
+        if i == 2:
+            frame = frame_pose(i, None, Status.TOO_FEW_MATCHES, cameras=cameras)
+        if i == 3:
+            frame.covariance[range(3, 6), range(3, 6)] = np.inf
+        frames.append(frame)
+    return Trajectory(frames, [f"cam_{i}" for i in range(cameras)], "m")
+
+
+def looking(
+    name: str, place: FloatArray, at: FloatArray, size: tuple[int, int] = (320, 240), roll: float = 0
+) -> Camera:
+    """A camera at `place` that looks at `at`, the world's z up in its image; `roll` turns it about its axis."""
+    z = (at - place) / np.linalg.norm(at - place)
+    x = np.cross(z, [0, 0, 1.0])
+    x /= np.linalg.norm(x)
+    rotation = Rotation.from_rotvec([0, 0, roll]) * Rotation.from_matrix(np.array([x, np.cross(z, x), z]))
+    matrix = np.array([[300, 0, (size[0] - 1) / 2], [0, 300, (size[1] - 1) / 2], [0, 0, 1]])
+    pose = RigidTransform.from_components(-rotation.apply(place), rotation)
+    return Camera(name, size, matrix, np.zeros(5), pose)
+
+
+def ring(n: int, height: float, sizes: tuple[tuple[int, int], ...] = ((320, 240),)) -> Rig:
+    angles = 2 * np.pi * np.arange(n) / n
+    places = np.column_stack([2 * np.cos(angles), 2 * np.sin(angles), np.full(n, height)])
+    return Rig([looking(f"cam_{i}", p, np.zeros(3), sizes[i % len(sizes)]) for i, p in enumerate(places)], "m")
+
+
+def moved(rig: Rig, world_from_new: RigidTransform) -> Rig:
+    """The same rig in other world coordinates."""
+    return Rig(
+        [
+            Camera(c.name, c.size, c.matrix, c.distortion, c.camera_from_world * world_from_new, c.lens)
+            for c in rig.cameras
+        ],
+        rig.unit,
+    )
+
+
+# Files
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    trajectory = turning(9, 33)
+    frames = [frame_pose(8, RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng)), time=1.7e9)]
+    with TrajectoryWriter(tmp_path / "deep" / "out", NAMES, "mm") as writer:
+        for frame in (*trajectory.frames[:-1], *frames):
+            writer.write(frame)
+    back = read_trajectory(tmp_path / "deep" / "out" / "trajectory.csv")
+    assert back.camera_names == NAMES
+    assert back.unit == "mm"
+    for a, b in zip((*trajectory.frames[:-1], *frames), back, strict=True):
+        assert (a.index, a.time, a.status) == (b.index, b.time, b.status)
+        assert (a.world_from_object is None) == (b.world_from_object is None)
+        np.testing.assert_allclose(a.position, b.position, rtol=1e-11)
+        np.testing.assert_allclose(a.pan_tilt_roll, b.pan_tilt_roll, atol=1e-9)
+        np.testing.assert_allclose(a.sigma, b.sigma, rtol=1e-5)
+        np.testing.assert_array_equal(a.inliers, b.inliers)
+        np.testing.assert_allclose(a.residuals, b.residuals, rtol=1e-5)
+    times, poses = read_tum(tmp_path / "deep" / "out" / "trajectory.tum")
+    np.testing.assert_array_equal(times, back.times[back.solved])
+    np.testing.assert_allclose(poses.translation, back.positions[back.solved])
+
+
+def test_the_csv_has_empty_cells_instead_of_nan_and_inf(tmp_path: Path) -> None:
+    with TrajectoryWriter(tmp_path, NAMES) as writer:
+        for frame in turning(5, 10):
+            writer.write(frame)
+    with (tmp_path / "trajectory.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert not {cell.lower() for row in rows for cell in row.values()} & {"nan", "inf", "-inf", "-0", "none"}
+    assert rows[2]["status"] == "too few matches"
+    assert rows[2]["tx"] == rows[2]["qw"] == rows[2]["pan_deg"] == rows[2]["residual_px_right, upper"] == ""
+    assert rows[2]["inliers_right, upper"] == "0"
+    assert rows[3]["tx_sd"] == ""
+    assert float(rows[1]["pan_deg"]) == pytest.approx(10)
+    assert float(rows[1]["ry_sd_deg"]) == pytest.approx(np.degrees(0.01), rel=1e-5)
+    assert float(rows[1]["ty_sd"]) == pytest.approx(0.01)
+
+
+def test_every_line_is_on_disk_at_once(tmp_path: Path) -> None:
+    with TrajectoryWriter(tmp_path, NAMES) as writer:
+        for i, frame in enumerate(turning(5, 10)):
+            writer.write(frame)
+            assert len(read_trajectory(tmp_path / "trajectory.csv")) == i + 1
+            assert (tmp_path / "trajectory.tum").read_text().endswith("\n")
+    assert len(read_tum(tmp_path / "trajectory.tum")[0]) == 4
+
+
+def test_an_exception_in_the_block_keeps_what_was_written(tmp_path: Path) -> None:
+    trajectory = turning(3, 10)
+
+    def interrupted() -> None:
+        with TrajectoryWriter(tmp_path, NAMES) as writer:
+            writer.write(trajectory[0])
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert len(read_trajectory(tmp_path / "trajectory.csv")) == 1
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_quaternions_do_not_jump(tmp_path: Path, axis: str) -> None:
+    trajectory = turning(60, 13, axis)
+    with TrajectoryWriter(tmp_path, NAMES) as writer:
+        for frame in trajectory:
+            writer.write(frame)
+    quaternions = np.loadtxt(tmp_path / "trajectory.tum")[:, 4:]
+    assert quaternions[0, 3] > 0
+    assert ((quaternions[1:] * quaternions[:-1]).sum(axis=1) > 0.9).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(n=st.integers(0, 5), seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([1e-6, 1.0, 1e6]))
+def test_tum_round_trip(tmp_path_factory: pytest.TempPathFactory, n: int, seed: int, scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    poses = RigidTransform.from_components(scale * rng.normal(size=(n, 3)), Rotation.from_quat(rng.normal(size=(n, 4))))
+    times = np.cumsum(rng.uniform(size=n)) + 1.7e9 * (seed % 2)
+    path = tmp_path_factory.mktemp("tum") / "a.tum"
+    write_tum(path, times, poses, "m")
+    times_back, back = read_tum(path)
+    np.testing.assert_array_equal(times_back, times)
+    assert len(back) == n
+    np.testing.assert_allclose(back.translation, poses.translation, rtol=1e-11)
+    np.testing.assert_allclose((back.rotation * poses.rotation.inv()).magnitude(), np.zeros(n), atol=1e-10)
+
+
+@pytest.mark.skipif(not TEMPLE.exists(), reason="../shared/data/temple is not there")
+def test_a_real_tum_file() -> None:
+    times, poses = read_tum(TEMPLE / "groundtruth.tum")
+    np.testing.assert_array_equal(times, np.arange(7))
+    assert np.degrees(poses.rotation[6].magnitude()) == pytest.approx(6 * 7.66, abs=0.1)
+
+
+def test_an_out_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    blocker = tmp_path / "file.txt"
+    blocker.write_text("")
+    with pytest.raises(OSError, match=r"file\.txt: it is a file, a folder was expected"):
+        TrajectoryWriter(blocker, NAMES)
+    with pytest.raises(OSError, match=r"cannot write .*file\.txt/out: not a directory"):
+        output_folder(blocker / "out")
+    (tmp_path / "taken" / "trajectory.csv").mkdir(parents=True)
+    with pytest.raises(OSError, match=r"cannot write .*trajectory\.csv: is a directory"):
+        TrajectoryWriter(tmp_path / "taken", NAMES)
+    for write in (
+        lambda path: plot_trajectory(turning(4, 5), path),
+        lambda path: plot_rig(ring(3, 1), path),
+        lambda path: OverlayWriter(path, ring(3, 1), 5),
+        lambda path: write_tum(path, [0.0], RigidTransform.identity(1)),
+    ):
+        with pytest.raises(OSError, match=r"cannot write .*file\.txt/a\.png"):
+            write(blocker / "a.png")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_named(tmp_path: Path) -> None:
+    (tmp_path / "trajectory.csv").symlink_to("/dev/full")
+    with pytest.raises(OSError, match=r"cannot write .*trajectory\.csv: no space left on device"):
+        TrajectoryWriter(tmp_path, NAMES)
+
+
+def test_counts_that_do_not_fit_the_cameras(tmp_path: Path) -> None:
+    with (
+        TrajectoryWriter(tmp_path, NAMES) as writer,
+        pytest.raises(ValueError, match="frame 0: 3 inlier counts and 3 residuals for 2 cameras"),
+    ):
+        writer.write(turning(3, 5, cameras=3)[0])
+
+
+def test_files_that_are_no_trajectories(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(ValueError, match=r"t\.csv: not a trajectory of sylpose, columns missing: index, time"):
+        read_trajectory(path)
+    path.write_text("")
+    with pytest.raises(ValueError, match=r"t\.csv: not a trajectory"):
+        read_trajectory(path)
+    with TrajectoryWriter(tmp_path, NAMES) as writer:
+        for frame in turning(4, 5):
+            writer.write(frame)
+    whole = (tmp_path / "trajectory.csv").read_text()
+    for broken in (whole[:-30], whole.replace("too few matches", "too few stars"), whole.replace(",2,", ",two,")):
+        path.write_text(broken)
+        with pytest.raises(ValueError, match=r"t\.csv, line \d: "):
+            read_trajectory(path)
+    for line in ("1 2 3\n", "0 0 0 0 0 0 0 0\n", "0 0 0 nan 0 0 0 1\n", "0 a b c 0 0 0 1\n"):
+        path.write_text(f"# comment\n\n0 0 0 0 0 0 0 1\n{line}")
+        with pytest.raises(ValueError, match=r"t\.csv, line 4: "):
+            read_tum(path)
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        read_trajectory(tmp_path / "nowhere.csv")
+    with pytest.raises(ValueError, match="for 1 poses"):
+        write_tum(path, [0.0, 1.0], RigidTransform.identity())
+
+
+# Plots
+
+
+@pytest.mark.parametrize("n", [1, 3, 6, 120])
+def test_report_of_any_length(tmp_path: Path, n: int) -> None:
+    plot_trajectory(turning(n, 9, cameras=3), tmp_path / "report.png")
+    picture = cv2.imread(str(tmp_path / "report.png"))
+    assert picture is not None
+    assert min(picture.shape[:2]) > 800
+    assert picture.std() > 10
+
+
+def test_report_without_any_pose(tmp_path: Path) -> None:
+    lost = Trajectory([frame_pose(i, None, Status.NOT_CONVERGED) for i in range(4)], NAMES)
+    plot_trajectory(lost, tmp_path / "report.png")
+    assert summary(lost) == "0 of 4 frames with a pose"
+    with pytest.raises(ValueError, match="no frames"):
+        plot_trajectory(Trajectory([], NAMES), tmp_path / "none.png")
+    assert not (tmp_path / "none.png").exists()
+
+
+def test_summary_says_what_is_known() -> None:
+    assert summary(turning(6, 10)) == (
+        "5 of 6 frames with a pose, turned 50.0° from the first to the last, moved 50 mm, residual 0.50 px (median)"
+    )
+    assert "how far it moved is not observable" in summary(turning(4, 10))
+
+
+def test_coasting_is_told_from_measuring(tmp_path: Path) -> None:
+    frames = list(turning(10, 10))
+    frames[5:7] = [replace(frame, status=Status.COASTING) for frame in frames[4:6]]
+    trajectory = Trajectory(frames, NAMES, "m")
+    assert "coasting in 2" in summary(trajectory)
+    plot_trajectory(trajectory, tmp_path / "report.png")
+    assert cv2.imread(str(tmp_path / "report.png")) is not None
+
+
+@pytest.mark.parametrize(("axis", "column"), [("y", 0), ("x", 1), ("z", 2)])
+def test_plotted_angles_have_no_jumps(axis: str, column: int) -> None:
+    trajectory = turning(90, 7.3, axis)
+    angles = np.degrees(plots._unwrapped(trajectory))[trajectory.solved]
+    expected = np.zeros((90, 3))
+    expected[:, column] = 7.3 * np.arange(90)
+    np.testing.assert_allclose(angles, expected[trajectory.solved], atol=1e-6)
+
+
+def test_bands_of_pan_tilt_roll_agree_with_sampling() -> None:
+    rng = np.random.default_rng(5)
+    half = rng.normal(size=(3, 3))
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = 1e-6 * half @ half.T
+    rotation = Rotation.from_euler("YXZ", [0.7, -1.1, 2.0])
+    pose = FramePose(
+        1, 0.0, Status.TRACKED, RigidTransform.from_rotation(rotation), covariance, np.array([9]), np.array([0.1])
+    )
+    w = rng.multivariate_normal(np.zeros(3), covariance[:3, :3], size=20_000)
+    sampled = (Rotation.from_rotvec(w) * rotation).as_euler("YXZ").std(axis=0)
+    np.testing.assert_allclose(plots._angle_sigma(pose), sampled, rtol=0.03)
+
+
+def test_shaded_strips_reach_half_way_to_the_next_frame() -> None:
+    times = np.array([0.0, 1.0, 2.0, 4.0, 5.0])
+    strips = list(plots._strips(times, np.array([True, False, True, True, False])))
+    assert strips == [(-0.5, 0.5), (1.5, 4.5)]
+
+
+# Overlay
+
+
+def overlay_frames(path: Path) -> list[Image]:
+    with av.open(str(path)) as container:
+        return [np.asarray(f.to_ndarray(format="bgr24")) for f in container.decode(video=0)]
+
+
+def blank(rig: Rig, value: int = 90) -> list[Image | None]:
+    return [np.full((c.size[1], c.size[0], 3), value, np.uint8) for c in rig]
+
+
+CENTERED = frame_pose(4, RigidTransform.identity(), cameras=3)
+
+
+def test_overlay_can_be_read_while_it_is_written(tmp_path: Path) -> None:
+    rig = ring(3, 1)
+    matches = [(np.full((5, 2), 50.0), np.full((5, 2), 60.0))] * 3
+    with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
+        for k in range(23):
+            writer.write(blank(rig, 5 * k), CENTERED, matches, 0.3)
+        shutil.copy(tmp_path / "o.mp4", tmp_path / "copy.mp4")
+    whole, part = overlay_frames(tmp_path / "o.mp4"), overlay_frames(tmp_path / "copy.mp4")
+    assert len(whole) == 23
+    # A second may be missing, and the fragment that was not yet closed.
+    assert len(part) >= 15
+    np.testing.assert_array_equal(part[14], whole[14])
+    assert whole[0].shape[0] % 2 == whole[0].shape[1] % 2 == 0
+    with av.open(str(tmp_path / "o.mp4")) as container:
+        assert container.streams.video[0].average_rate == 5
+
+
+@pytest.mark.parametrize("rate", [0.5, 29.97, 240.0])
+@pytest.mark.parametrize("encoder", [name for name, _ in overlay.ENCODERS])
+def test_overlay_of_mixed_sizes_with_each_encoder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rate: float, encoder: str
+) -> None:
+    try:
+        av.codec.Codec(encoder, "w")
+    except ValueError:
+        pytest.skip(f"this PyAV has no {encoder}")
+    monkeypatch.setattr(overlay, "ENCODERS", [e for e in overlay.ENCODERS if e[0] == encoder])
+    rig = ring(5, 1, sizes=((321, 241), (200, 300), (640, 362)))
+    pose = frame_pose(1, RigidTransform.identity(), cameras=5)
+    images = blank(rig)
+    images[1] = None
+    images[2] = np.full((362, 640), 90, np.uint8)
+    with OverlayWriter(tmp_path / "o.mp4", rig, rate, max_width=1001) as writer:
+        for _ in range(3):
+            writer.write(images, pose, [None] * 5, 0.5, [np.array([[10.0, 10], [90, 10], [50, 80]])] * 5)
+    frames = overlay_frames(tmp_path / "o.mp4")
+    assert len(frames) == 3
+    assert frames[0].shape[1] <= 1002
+
+
+def test_axes_are_drawn_where_the_camera_sees_them(tmp_path: Path) -> None:
+    """One camera, its tile enlarged: each axis' colour lies at the projection of its middle, lens included."""
+    camera = looking("a", np.array([2.0, 1.0, 1.0]), np.zeros(3), (400, 300))
+    camera = Camera("a", camera.size, camera.matrix, np.array([-0.3, 0.1, 0.01, 0, 0]), camera.camera_from_world)
+    rig = Rig([camera])
+    turn = Rotation.from_rotvec([0.3, -0.2, 0.4])
+    pose = frame_pose(1, RigidTransform.from_components([0.1, 0.2, -0.1], turn), cameras=1)
+    with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
+        picture = writer.draw(blank(rig, 0), pose, [None], 0.5)
+        bar = writer._layout.bar
+    scale = picture.shape[1] / 400
+    for axis, color in zip(np.eye(3), drawing.AXIS_COLORS, strict=True):
+        pixel = camera.project(pose.position + turn.apply(0.25 * axis))[0]
+        x, y = np.round((pixel + 0.5) * scale - 0.5).astype(int)
+        np.testing.assert_array_equal(picture[bar + y, x], color)
+
+
+def test_axes_are_not_drawn_where_the_lens_model_folds_back() -> None:
+    camera = Camera(
+        "a",
+        (640, 480),
+        np.array([[400, 0, 320], [0, 400, 240], [0, 0, 1.0]]),
+        np.array([-0.3, 0, 0, 0]),
+        RigidTransform.identity(),
+    )
+    points = np.array([[0.1, 0, 1], [1.7, 0, 1], [0, 0, -1]])
+    assert np.isfinite(camera.project(points)[1]).all()  # inside the image, by the polynomial
+    assert 0 < camera.project(points)[1, 0] < 640
+    np.testing.assert_array_equal(np.isfinite(drawing.project(camera, points))[:, 0], [True, False, False])
+
+
+def n_painted(picture: NDArray[np.uint8], color: tuple[int, int, int], near: int = 0) -> int:
+    return int((np.abs(picture.astype(int) - color) <= near).all(axis=2).sum())
+
+
+def test_coasting_axes_are_pale_and_dashed(tmp_path: Path) -> None:
+    rig = ring(3, 1)
+    with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
+        measured = writer.draw(blank(rig), CENTERED, [None] * 3, 0.3)
+        coasting = writer.draw(blank(rig), replace(CENTERED, status=Status.COASTING), [None] * 3, 0.3)
+    for color in drawing.AXIS_COLORS:
+        assert n_painted(measured, color) > 50 > n_painted(coasting, color)
+    assert not np.array_equal(coasting, writer.draw(blank(rig), frame_pose(4, None, cameras=3), [None] * 3, 0.3))
+
+
+def test_overlay_of_several_objects(tmp_path: Path) -> None:
+    rig = ring(3, 1)
+    region = [np.array([[10.0, 10], [90, 10], [50, 80]])] * 3
+    lost = frame_pose(4, None, Status.LOST, cameras=3)
+    mug = Shown("mug", CENTERED, [None] * 3, 0.3, region, overlay.object_color(0))
+    objects = [mug, Shown("tray", lost, [None] * 3, np.nan, color=overlay.object_color(1))]
+    with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
+        picture = writer.draw_objects(blank(rig), objects)
+        writer.write_objects(blank(rig), objects)
+        with pytest.raises(ValueError, match="needs 3 matches"):
+            writer.write_objects(blank(rig), [replace(objects[0], matches=[])])
+    assert n_painted(picture, overlay.OBJECT_COLORS[0], 60) > 50
+    assert n_painted(picture, overlay.BAD, 60) > 10
+    assert len(overlay_frames(tmp_path / "o.mp4")) == 1
+
+
+def test_a_pose_behind_or_on_a_camera_draws_nothing_and_does_no_harm(tmp_path: Path) -> None:
+    rig = ring(3, 1)
+    with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
+        for place in (rig.cameras[0].center, 3 * rig.cameras[0].center, np.full(3, 1e12)):
+            pose = frame_pose(1, RigidTransform.from_translation(place), cameras=3)
+            writer.write(blank(rig), pose, [(np.empty((0, 2)), np.empty((0, 2)))] * 3, 0.5)
+        writer.write(blank(rig), frame_pose(2, None, Status.NOT_CONSISTENT, cameras=3), [None] * 3, 0.5)
+    assert len(overlay_frames(tmp_path / "o.mp4")) == 4
+
+
+def test_an_overlay_without_frames_is_closed_quietly(tmp_path: Path) -> None:
+    with OverlayWriter(tmp_path / "o.mp4", ring(2, 1), 5) as writer:
+        pass
+    writer.close()
+
+
+def test_overlay_bad_input(tmp_path: Path) -> None:
+    rig = ring(3, 1)
+    for rate in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="rate must be a positive"):
+            OverlayWriter(tmp_path / "o.mp4", rig, rate)
+    with pytest.raises(ValueError, match="width must be"):
+        OverlayWriter(tmp_path / "o.mp4", rig, 5, max_width=10)
+    with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
+        with pytest.raises(ValueError, match="needs 3 images, one per camera, got 2"):
+            writer.write(blank(rig)[:2], CENTERED, [None] * 3, 0.3)
+        with pytest.raises(ValueError, match="needs 3 matches"):
+            writer.write(blank(rig), CENTERED, [None] * 2, 0.3)
+        with pytest.raises(ValueError, match="camera cam_0: the image is 10x20, its calibration 320x240"):
+            writer.write([np.zeros((20, 10, 3), np.uint8), None, None], CENTERED, [None] * 3, 0.3)
+
+
+# The rig
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(3, 9), height=st.sampled_from([-1.5, 0.0, 0.8, 3.0]))
+def test_above_is_above_whatever_the_worlds_axes(seed: int, n: int, height: float) -> None:
+    rng = np.random.default_rng(seed)
+    transform = RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng))
+    axes = view_axes(moved(ring(n, height), transform)) @ transform.rotation.inv().as_matrix()
+    np.testing.assert_allclose(axes[2], [0, 0, 1], atol=1e-6)
+    # The first camera, at (2, 0), looks ahead; right-handed.
+    np.testing.assert_allclose(axes[1], [-1, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(np.cross(axes[0], axes[1]), axes[2], atol=1e-9)
+
+
+def test_above_with_few_or_rolled_cameras() -> None:
+    ahead = np.array([0, 5.0, 0])
+    pair = Rig([looking(n, np.array([x, 0, 0]), np.array([x, 5, 0])) for n, x in (("l", -0.1), ("r", 0.1))])
+    np.testing.assert_allclose(view_axes(pair), np.eye(3), atol=1e-6)
+    single = Rig([looking("one", np.zeros(3), ahead)])
+    np.testing.assert_allclose(view_axes(single), np.eye(3), atol=1e-6)
+    # Two of five lie on their sides, one hangs upside down.
+    rolls = (0, np.pi / 2, 0, -np.pi / 2, np.pi)
+    places = [np.array([2 * np.sin(a), -2 * np.cos(a), 0.7]) for a in np.radians([-70, -35, 0, 35, 70])]
+    arc = Rig([looking(f"{i}", p, np.zeros(3), roll=r) for i, (p, r) in enumerate(zip(places, rolls, strict=True))])
+    assert view_axes(arc)[2] @ [0, 0, 1] > 0.99
+
+
+def test_where_the_axes_meet() -> None:
+    point = meeting_point(ring(4, 1))
+    assert point is not None
+    np.testing.assert_allclose(point, 0, atol=1e-9)
+    assert meeting_point(Rig(ring(4, 1).cameras[:1])) is None
+    away = Rig([looking(f"{i}", p, 3 * p) for i, p in enumerate(np.eye(3) + 0.1)])
+    assert meeting_point(away) is None
+    parallel = Rig([looking(f"{x}", np.array([x, 0, 0]), np.array([x, 5, 0])) for x in (0.0, 0.3, 0.5)])
+    assert meeting_point(parallel) is None
+
+
+def test_rig_in_figures() -> None:
+    rows = describe_rig(ring(4, 0))
+    assert [row.name for row in rows] == ["cam_0", "cam_1", "cam_2", "cam_3"]
+    np.testing.assert_allclose(rows[0].angles, [0, 90, 180, 90], atol=1e-6)
+    np.testing.assert_allclose(rows[0].baselines, [0, 8**0.5, 4, 8**0.5])
+    assert rows[0].distance == pytest.approx(2)
+    assert rows[0].off_axis == pytest.approx(0, abs=1e-6)
+    assert rows[0].field_of_view[0] == pytest.approx(2 * np.degrees(np.arctan(319 / 2 / 300)))
+    assert describe_rig(ring(4, 0), [0, 0, 2.0])[0].off_axis == pytest.approx(45)
+    alone = describe_rig(Rig(ring(4, 0).cameras[:1]))[0]
+    assert np.isnan(alone.distance)
+    assert np.isnan(alone.off_axis)
+
+
+def test_pictures_of_rigs(tmp_path: Path) -> None:
+    for i, (rig, center) in enumerate(
+        (
+            (ring(12, 1), None),
+            (ring(5, 0), [0.1, 0, 0]),
+            (Rig(ring(4, 1).cameras[:2]), None),
+            (Rig(ring(2, 1).cameras[:1]), None),
+        )
+    ):
+        plot_rig(rig, tmp_path / f"{i}.png", center, 0.2 if center else None)
+        picture = cv2.imread(str(tmp_path / f"{i}.png"))
+        assert picture is not None
+        assert 400 < min(picture.shape[:2]) <= max(picture.shape[:2]) < 2000
+    with pytest.raises(ValueError, match="centre must be three finite numbers"):
+        plot_rig(ring(3, 1), tmp_path / "a.png", [0, np.nan, 0])
+    with pytest.raises(ValueError, match="radius must be a positive"):
+        plot_rig(ring(3, 1), tmp_path / "a.png", None, -1.0)
+
+
+@pytest.mark.skipif(not TEMPLE.exists(), reason="../shared/data/temple is not there")
+def test_the_temples_rig_is_as_its_makers_say() -> None:
+    """4 views 38 degrees apart, around a vertical axis that is the world's y."""
+    tables = tomllib.loads((TEMPLE / "calibration.toml").read_text())
+    cameras = [
+        Camera(
+            t["name"],
+            tuple(t["size"]),
+            np.array(t["matrix"]),
+            np.array(t["distortions"]),
+            RigidTransform.from_components(t["translation"], Rotation.from_rotvec(t["rotation"])),
+        )
+        for name, t in tables.items()
+        if name != "metadata"
+    ]
+    rig = Rig(cameras, "m")
+    rows = describe_rig(rig, [0.02775, 0.04181, -0.05467])
+    assert [round(rows[i].angles[i + 1]) for i in range(3)] == [38, 38, 38]
+    assert all(0.5 < row.distance < 0.6 and row.off_axis < 5 for row in rows)
+    assert abs(view_axes(rig)[2] @ [0, 1, 0]) > 0.99

@@ -1,0 +1,243 @@
+"""Smoothing: what it makes of a tracker's frames, measured, coasting and lost ones, and of pieces that nothing ties."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.frames import FrameSet
+from sylpose.numerics.arrays import FloatArray
+from sylpose.results import FramePose, Status
+from sylpose.rig import Rig
+from sylpose.simulate import ellipsoid, ring
+from sylpose.smoothing.trajectory import Smoothed, Track, _worth_using, smooth
+from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
+
+RIG = ring(3, 1.5, 1000.0, height=(0.4, -0.1, 0.3))
+RADIUS = 0.15
+BODY = ellipsoid((RADIUS, 0.1, 0.12), n=400)
+POINTS, NORMALS = BODY.points.copy(), BODY.normals.copy()  # SciPy's rotations take no read-only arrays
+FRAMES = 24
+
+
+def truth(k: int) -> RigidTransform:
+    """About 2 degrees per frame, along a curve, from the identity."""
+    turn = Rotation.from_rotvec(np.deg2rad(2.0 * k + 3.0 * np.sin(k / 5)) * np.array([0.1, 0.99, 0.1]))
+    return RigidTransform.from_components([0.03 * np.sin(k / 6), 0.02 * np.cos(k / 5) - 0.02, 0.004 * k], turn)
+
+
+def tracked(
+    n: int = FRAMES,
+    *,
+    noise_px: float = 0.3,
+    rig: Rig = RIG,
+    coasting: tuple[int, ...] = (),
+    lost: tuple[int, ...] = (),
+    apart_from: int = 1000,
+    seed: int = 0,
+) -> list[Track]:
+    """What a tracker with errors of 0.3 degrees and 2 mm would give; landmarks have other numbers from a frame on."""
+    rng, out = np.random.default_rng(seed), []
+    cell = np.eye(6) * np.repeat([1e-5, 1e-5], 3)
+    for k in range(n):
+        pose = truth(k)
+        found = pose
+        if k:
+            shake = Rotation.from_rotvec(np.deg2rad(0.3) * rng.standard_normal(3))
+            found = RigidTransform.from_components(
+                pose.translation + 0.002 * rng.standard_normal(3), shake * pose.rotation
+            )
+        status = Status.FIRST if k == 0 else Status.TRACKED
+        sights: tuple[Sightings, ...] = tuple(
+            see(pose, c, rig, noise_px, rng, len(POINTS) * (c + len(rig) * (k >= apart_from))) for c in range(len(rig))
+        )
+        if k in coasting:
+            status, sights = Status.COASTING, ()
+        if k in lost:
+            status, sights = Status.LOST, ()
+        here = FramePose(
+            k,
+            k / 30.0,
+            status,
+            None if k in lost else found,
+            np.zeros((6, 6)) if k == 0 else cell,
+            np.zeros(len(rig), np.int64),
+            np.full(len(rig), np.nan),
+        )
+        out.append(Track(here, sights, np.zeros(len(rig)), RADIUS))
+    return out
+
+
+def see(
+    pose: RigidTransform, camera: int, rig: Rig, noise_px: float, rng: np.random.Generator, first: int
+) -> Sightings:
+    c, points = rig.cameras[camera], pose.apply(POINTS)
+    to_camera = c.center - points
+    facing = np.einsum("ni,ni->n", pose.rotation.apply(NORMALS), to_camera)
+    visible = np.flatnonzero(facing > 0.25 * np.linalg.norm(to_camera, axis=1))
+    local = c.camera_from_world.apply(points[visible])
+    image = local[:, :2] / local[:, 2:] + noise_px / c.focal * rng.standard_normal((len(visible), 2))
+    return Sightings(first + visible, image, POINTS[visible] + 0.01 * rng.standard_normal((len(visible), 3)))
+
+
+def errors(smoothed: Smoothed) -> FloatArray:
+    """(N, 6) of (w, d), NaN rows for frames without a pose."""
+    out = np.full((len(smoothed.poses), 6), np.nan)
+    for k, pose in enumerate(smoothed.poses):
+        if pose.world_from_object is not None:
+            true, found = truth(k), pose.world_from_object
+            turn = (true.rotation * found.rotation.inv()).as_rotvec()
+            out[k] = np.concatenate([turn, true.translation - found.translation])
+    return out
+
+
+def test_exact_without_noise() -> None:
+    frames = tracked(noise_px=0.0)
+    found = smooth(frames, RIG)
+    assert found.status is Status.OK
+    assert np.abs(errors(found)).max() < 1e-5
+    assert [p.status for p in found.poses] == [f.pose.status for f in frames]
+    assert not found.offsets.any()
+    first = found.poses[0]
+    assert first is frames[0].pose
+
+
+def test_better_than_before_and_says_how_good() -> None:
+    frames = tracked()
+    found = smooth(frames, RIG)
+    assert found.status is Status.OK
+    e = errors(found)
+    assert np.abs(e[:, :3]).max() < np.deg2rad(0.15)
+    assert np.abs(e[:, 3:]).max() < 1e-3
+    np.testing.assert_allclose(found.sigma_px, 0.3, rtol=0.1)
+    normalised = [
+        x @ np.linalg.solve(p.covariance, x) for x, p in zip(e[1:], found.poses[1:], strict=True)
+    ]  # 6 on average, but one draw: all frames share the first one's error
+    assert np.mean(normalised) < 17.0
+    assert all(p.inliers.sum() > 200 for p in found.poses[1:])
+    assert 0.2 < np.nanmedian([p.residuals for p in found.poses[1:]]) / np.sqrt(2) < 0.4
+
+
+def test_one_camera() -> None:
+    rig = Rig(RIG.cameras[:1])
+    found = smooth(tracked(rig=rig, noise_px=0.1), rig)
+    assert found.status is Status.OK
+    # The scale is whatever the first poses and places say: what is left of the turn is good.
+    assert np.rad2deg(np.abs(errors(found)[:, :3])).max() < 0.3
+
+
+def test_coasting_frames_go_between_their_neighbours() -> None:
+    gap = (9, 10, 11, 12)
+    found = smooth(tracked(coasting=gap), RIG)
+    assert [found.poses[k].status for k in gap] == [Status.COASTING] * 4
+    e = errors(found)
+    assert np.abs(e[list(gap), :3]).max() < np.deg2rad(0.1)  # the tracker's were off by 0.3 degrees
+    assert np.abs(e[list(gap), 3:]).max() < 1e-3
+    for k in gap:
+        assert np.linalg.eigvalsh(found.poses[k].covariance - found.poses[8].covariance).min() >= 0.0
+
+
+def test_coasting_at_the_end_is_carried_along() -> None:
+    frames = tracked(coasting=(22, 23))
+    found = smooth(frames, RIG)
+    last, was = found.poses[21].world_from_object, frames[21].pose.world_from_object
+    then, now = frames[23].pose.world_from_object, found.poses[23].world_from_object
+    assert last is not None
+    assert was is not None
+    assert then is not None
+    assert now is not None
+    relative, expected = last.inv() * now, was.inv() * then
+    np.testing.assert_allclose(relative.as_matrix(), expected.as_matrix(), atol=1e-12)
+
+
+def test_lost_frames_stay_lost() -> None:
+    frames = tracked(coasting=(8, 9), lost=(10, 11, 12))
+    found = smooth(frames, RIG)
+    assert [p.world_from_object is None for p in found.poses] == [k in (10, 11, 12) for k in range(FRAMES)]
+    e = errors(found)
+    assert np.nanmax(np.abs(np.delete(e, (8, 9), axis=0)[:, :3])) < np.deg2rad(0.15)
+    # Nothing is known of the way between: coasting ones are carried along with the last measured one, 7.
+    last, was, then = (p.world_from_object for p in (found.poses[7], frames[7].pose, frames[9].pose))
+    now = found.poses[9].world_from_object
+    assert last is not None
+    assert was is not None
+    assert then is not None
+    assert now is not None
+    np.testing.assert_allclose((last.inv() * now).as_matrix(), (was.inv() * then).as_matrix(), atol=1e-12)
+
+
+def test_a_piece_that_nothing_ties_stays_as_tracked() -> None:
+    frames = tracked(apart_from=14, coasting=(12, 13))
+    found = smooth(frames, RIG)
+    assert found.status is Status.OK
+    assert np.abs(errors(found)[:12, :3]).max() < np.deg2rad(0.15)
+    for k in range(14, FRAMES):
+        assert found.poses[k] is frames[k].pose
+
+
+def test_time_offsets() -> None:
+    late = np.array([0.004, -0.003, -0.001])
+    frames = tracked(40, noise_px=0.0)
+    own = [tracked_at(k, late) for k in range(40)]
+    frames = [replace(f, sightings=s) for f, s in zip(frames, own, strict=True)]
+    found = smooth(frames, RIG, offsets_sd=0.02)
+    assert found.status is Status.OK
+    np.testing.assert_allclose(found.offsets, late, atol=3e-4)
+    stamped = smooth([replace(f, late=late) for f in frames], RIG)
+    assert np.abs(errors(stamped)[:, :3]).max() < np.deg2rad(0.15)
+
+
+def tracked_at(k: int, late: FloatArray) -> tuple[Sightings, ...]:
+    """What cameras see that are late, without noise but for the places' own."""
+    rng = np.random.default_rng(k)
+    poses = [truth(k + s * 30.0) for s in late]
+    return tuple(see(p, c, RIG, 0.0, rng, len(POINTS) * c) for c, p in enumerate(poses))
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_nothing_to_refine(n: int) -> None:
+    frames = tracked(n)
+    found = smooth(frames, RIG)
+    assert found.status is Status.TOO_FEW_MATCHES
+    assert found.poses == tuple(f.pose for f in frames)
+    assert found.rounds == 0
+
+
+def test_no_landmark_twice() -> None:
+    frames = tracked(6)
+    frames = [
+        replace(f, sightings=tuple(replace(s, landmark=s.landmark + 10**6 * k) for s in f.sightings))
+        for k, f in enumerate(frames)
+    ]
+    found = smooth(frames, RIG)
+    assert found.status is Status.TOO_FEW_MATCHES
+    assert found.poses == tuple(f.pose for f in frames)
+
+
+def test_rarely_seen_landmarks_count_where_there_are_no_others() -> None:
+    # 200 landmarks seen in frames 0 to 9; 50 seen in frames 0 and 1; 50 in frames 9 and 10; 50 seen once.
+    landmark = np.concatenate([np.tile(np.arange(200), 10), *[np.arange(n, n + 50) for n in (200, 200, 250, 250, 300)]])
+    frame = np.concatenate([np.repeat(np.arange(10), 200), np.repeat([0, 1, 9, 10, 3], 50)])
+    used = _worth_using(frame.astype(np.int64), landmark.astype(np.int64))
+    counts = np.bincount(landmark, used, minlength=350)
+    assert (counts[:200] == 10).all()
+    assert not counts[200:250].any()
+    assert (counts[250:300] == 2).all()
+    assert not counts[300:].any()
+
+
+def test_a_track_keeps_no_images() -> None:
+    image = np.zeros((480, 640, 3), np.uint8)
+    frames = FrameSet(3, 0.1, (None,) * 3, (image,) * 3, (None,) * 3)
+    matches = tuple((np.zeros((300, 2)), np.zeros((300, 2))) for _ in range(3))
+    track = tracked(2)[1]
+    yielded = TrackedFrame(track.pose, frames, matches, (None,) * 3, RADIUS, track.sightings, track.late)
+    kept = Track.of(yielded)
+    assert kept.pose is yielded.pose
+    assert kept.sightings is yielded.sightings
+    sights = sum(len(s.landmark) for s in kept.sightings)
+    assert len(pickle.dumps(kept)) < 48 * sights + 4000  # a number, two and three coordinates of eight bytes each

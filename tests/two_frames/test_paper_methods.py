@@ -1,0 +1,78 @@
+"""The paper's estimators as methods: whose answer they give, and which cameras at fault are named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sylpose.methods import METHODS, MOTION_METHODS, PAPER_METHODS
+from sylpose.moments import PairMoments
+from sylpose.paper.depth_plane import solve_depth_plane
+from sylpose.results import Motion, Status
+from sylpose.rig import Rig
+from sylpose.simulate import SimulatedPair, random_motion, simulate_matches
+from sylpose.two_frames.fit import Fit
+from sylpose.two_frames.motion import estimate_motion
+from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
+from sylpose.two_frames.terms import TermData
+from tests.scenes import BODY, around, degrees, error
+
+
+def scene(rig: Rig, seed: int, turn: float = 10.0, **options: object) -> SimulatedPair:
+    rng = np.random.default_rng(seed)
+    return simulate_matches(rig, BODY, random_motion(turn, 0.02, rng), rng=rng, **options)  # type: ignore[arg-type]
+
+
+def inlier_moments(pair: SimulatedPair, found: Motion) -> list[PairMoments]:
+    return [PairMoments.from_matches(m.x[i], m.y[i]) for m, i in zip(pair.matches, found.inliers, strict=True)]
+
+
+def test_names_are_those_of_the_command_line() -> None:
+    assert tuple(ESTIMATORS) == PAPER_METHODS
+    assert set(PAPER_METHODS) < set(MOTION_METHODS) < set(METHODS) | {"epipolar"}
+
+
+@pytest.mark.parametrize("method", PAPER_METHODS)
+def test_every_estimator_is_a_method_of_two_frames(method: str) -> None:
+    rig = around(6)
+    pair = scene(rig, 1)
+    found = estimate_motion(rig, pair.matches, method=method)
+    assert found.method == method
+    assert found.faults == ()
+    assert found.motion is not None
+    bound = {"depth-plane": 0.6, "one-camera": 12.0, "unconstrained": 12.0}.get(method, 3.0)
+    assert degrees(error(pair, found)) < bound
+
+
+def test_distributed_methods_are_the_centralised_one() -> None:
+    rig = around(5)
+    pair = scene(rig, 2)
+    expected = estimate_motion(rig, pair.matches, method="sylvester").motion
+    assert expected is not None
+    for method in ("exchange", "refine", "gossip"):
+        found = estimate_motion(rig, pair.matches, method=method).motion
+        assert found is not None
+        np.testing.assert_allclose(found.as_matrix(), expected.as_matrix(), atol=1e-7)
+
+
+def test_the_depth_plane_is_asked_with_the_inliers() -> None:
+    rig = around(4)
+    pair = scene(rig, 3, outliers=0.2)
+    found = estimate_motion(rig, pair.matches, method="depth-plane")
+    assert found.motion is not None
+    rotations = np.array([camera.rotation for camera in rig])
+    expected = solve_depth_plane(rotations, inlier_moments(pair, found))
+    # The inliers have robust weights, which the moments here do not.
+    assert (Rotation.from_matrix(expected.rotation) * found.motion.rotation.inv()).magnitude() < np.deg2rad(0.2)
+
+
+def test_matches_without_spread_leave_the_turn_open() -> None:
+    rig = around(2)
+    point = np.tile([[0.01, 0.02]], (9, 1))
+    data = [TermData(c, point, point, camera.rotation, camera.center, camera.focal) for c, camera in enumerate(rig)]
+    weights = (np.ones(9), np.ones(9))
+    robust = Fit(Status.OK, np.eye(3), np.zeros(3), weights, weights, np.eye(6), np.eye(6), 1)
+    for method in PAPER_METHODS:
+        fit = paper_fit(method, data, robust, np.zeros(3), rig.names)
+        assert fit.status is Status.TURN_NOT_OBSERVABLE
