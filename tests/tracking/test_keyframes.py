@@ -190,7 +190,7 @@ def test_cameras_without_features_do_not_warn(rig: Rig) -> None:
 
 
 def test_of_too_many_the_most_redundant_newer_one_goes(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.keyframes.MAX_KEYFRAMES", 4)
+    monkeypatch.setattr("sylpose.tracking.keyframes.MAX_KEYFRAMES", 4)
     kept = frames(rig, 0, 40, 80, 93)
     assert add_keyframe(kept, frame(rig, 4, turned(120.0)))
     assert indices(kept) == [0, 1, 2, 4]  # 80 and 93 were the most alike
@@ -226,7 +226,7 @@ def test_every_view_that_was_met_stays_covered(steps: list[tuple[float, int]], m
     kept: list[Reference] = []
     pose, met = START, []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sylpose.keyframes.MAX_KEYFRAMES", most)
+        patch.setattr("sylpose.tracking.keyframes.MAX_KEYFRAMES", most)
         for k, (degrees, axis) in enumerate(steps):
             turn = Rotation.from_rotvec(np.radians(degrees) * np.eye(3)[axis])
             pose = RigidTransform.from_components(pose.translation, turn * pose.rotation)
