@@ -376,8 +376,8 @@ def test_fewer_cameras_know_less(clip: Clip, tracked: list[TrackedFrame]) -> Non
 
 
 def test_images_are_let_go_and_references_are_bounded(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.keyframes.MAX_KEYFRAMES", 3)
-    monkeypatch.setattr("sylpose.keyframes.NEW_TURN", np.radians(1.0))  # nearly every frame is a keyframe
+    monkeypatch.setattr("sylpose.tracking.keyframes.MAX_KEYFRAMES", 3)
+    monkeypatch.setattr("sylpose.tracking.keyframes.NEW_TURN", np.radians(1.0))  # nearly every frame is a keyframe
     alive: list[list[weakref.ref[Any]]] = []
     references = []
 
