@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from sylpose.paper.one_camera import solve_one_camera
     from sylpose.results import FramePose, Motion, Status, Trajectory
     from sylpose.rig import Camera, Rig
-    from sylpose.tracking.tracker import TrackedFrame, track
+    from sylpose.tracking.tracked_frame import TrackedFrame
+    from sylpose.tracking.tracker import track
     from sylpose.two_frames.motion import estimate_motion, estimate_motions
     from sylpose.view import trajectory_view, view_of_motion
 

@@ -20,7 +20,8 @@ from sylpose.report.files import output_folder, writing
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.sync.offsets import find_offsets, retimed
-from sylpose.tracking.tracker import TrackedFrame, Tracker
+from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.tracker import Tracker
 
 __all__ = ["CHECKPOINT_SECONDS", "Run", "has_ended", "output_path", "track_session"]
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # loading these takes a second
     from sylpose.capture import Session
     from sylpose.capture.live import LiveSession
     from sylpose.report.rigview import CameraView
-    from sylpose.tracking.tracker import TrackedFrame
+    from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = [
     "RIG_HEADER",

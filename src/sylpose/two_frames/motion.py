@@ -177,10 +177,10 @@ def unseen(fit: Fit, radius: float) -> FloatArray:
     return np.asarray(weak * scale)
 
 
-def motion_about(center: FloatArray, fit: Fit) -> RigidTransform:
-    """X -> R (X - g) + g + d as a transform."""
-    rotation = Rotation.from_matrix(fit.rotation, assume_valid=True)
-    return RigidTransform.from_components(center + fit.shift - fit.rotation @ center, rotation)
+def motion_about(center: FloatArray, rotation: FloatArray, shift: FloatArray) -> RigidTransform:
+    """X -> R (X - g) + g + d as a transform; g (3,), R (3, 3), d (3,)."""
+    turn = Rotation.from_matrix(rotation, assume_valid=True)
+    return RigidTransform.from_components(center + shift - rotation @ center, turn)
 
 
 def _motion(
@@ -207,7 +207,7 @@ def _motion(
             information = forget(information, row)
     return Motion(
         status=fit.status,
-        motion=motion_about(center, fit) if fit.status.has_pose or len(open_) else None,
+        motion=motion_about(center, fit.rotation, fit.shift) if fit.status.has_pose or len(open_) else None,
         center=center,
         information=information,
         covariance=covariance_of(information),
