@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.landmarks.alignment import Aligned, Sights, align, stack
 from sylpose.landmarks.alignment_kernels import (
+    CUTOFF,
     INDEPENDENT,
     camera_equations,
     disagreement,
@@ -22,7 +23,6 @@ from sylpose.landmarks.alignment_kernels import (
     weigh,
 )
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.numerics.robust import bisquare
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import dome, ellipsoid, ring
 
@@ -158,7 +158,7 @@ def naive(
     e, variance = image - one.image, (sigma_px / one.focal) ** 2
     v = variance * np.eye(2) + b[:, :, None] * b[:, None, :]
     distance = np.sqrt(np.einsum("ni,nij,nj->n", e, np.linalg.inv(v), e))
-    w = bisquare(distance, 4.7)
+    w = np.maximum(1.0 - (distance / CUTOFF) ** 2, 0.0) ** 2
     least = np.array([w[one.feature == f].min() / (one.feature == f).sum() for f in one.feature])
     w = least * one.trust
     length = np.linalg.norm(b, axis=1)

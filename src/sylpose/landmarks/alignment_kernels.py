@@ -11,6 +11,7 @@ import numpy as np
 
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, solve_factored, turn_by
+from sylpose.numerics.robust import bisquare
 
 __all__ = ["CUTOFF", "Stacked", "iterate", "linearise"]
 
@@ -134,9 +135,8 @@ def weigh(stacked: Stacked, c: int, distance: FloatArray, least: FloatArray, wei
     for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
         least[stacked.feature[i], 0], least[stacked.feature[i], 1] = 1.0, 0.0
     for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
-        ratio = (distance[i] / CUTOFF) ** 2
         k = stacked.feature[i]
-        least[k, 0] = min(least[k, 0], (1.0 - ratio) ** 2 if ratio < 1.0 else 0.0)
+        least[k, 0] = min(least[k, 0], bisquare((distance[i] / CUTOFF) ** 2))
         least[k, 1] += 1.0
     mass = 0.0
     for i in range(stacked.offsets[c], stacked.offsets[c + 1]):

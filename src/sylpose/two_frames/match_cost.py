@@ -19,6 +19,7 @@ import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
+from sylpose.numerics.robust import bisquare
 from sylpose.two_frames.moments_cost import view_of
 from sylpose.two_frames.terms import SURFACE, Stack
 
@@ -111,8 +112,7 @@ def match_equations(
         parallax[i] = length / np.sqrt(noise_b)
         spare = (relief * length) ** 2
         distance[i] = across[i] ** 2 / variance + off * off / (variance * noise_b + spare)
-        ratio = distance[i] / (cutoff * cutoff)
-        weights[i] = (1.0 - ratio) ** 2 if usable[i] and ratio < 1.0 else 0.0
+        weights[i] = bisquare(distance[i] / (cutoff * cutoff)) if usable[i] else 0.0
         if not weights[i] > 0.0:
             continue
         # Along the line: where the surface puts it.
