@@ -15,6 +15,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.robust import (
     BIQUARTIC_BOUND,
     BISQUARE_BOUND,
+    SIGMA_OF_MEDIAN,
     OnNoise,
     biquartic,
     biquartic_loss,
@@ -155,6 +156,11 @@ def test_robust_sigma_is_the_standard_deviation_of_the_bulk() -> None:
     r[:3000] = 1e6
     assert robust_sigma(r, 0.0) == pytest.approx(0.7, rel=0.3)
     assert robust_sigma(-r, 0.0) == robust_sigma(r, 0.0)
+
+
+def test_half_of_a_gaussian_lies_within_its_median() -> None:
+    density = quad(lambda x: np.exp(-0.5 * x * x) / np.sqrt(2 * np.pi), -1 / SIGMA_OF_MEDIAN, 1 / SIGMA_OF_MEDIAN)[0]
+    assert density == pytest.approx(0.5, abs=1e-12)
 
 
 def test_robust_sigma_has_a_floor() -> None:

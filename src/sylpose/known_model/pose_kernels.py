@@ -13,16 +13,19 @@ import numpy as np
 from sylpose.known_model.three_rays import three_rays
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.compiled import cholesky_solve, kernel, turn_by
-from sylpose.numerics.robust import BIQUARTIC_BOUND, biquartic, biquartic_loss
+from sylpose.numerics.robust import BIQUARTIC_BOUND, biquartic, biquartic_loss, biquartic_on_noise
 
 __all__ = ["CUTOFF", "Noise", "Views", "fit", "information", "minimize", "score", "search", "squares_of"]
 
 
 # Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five.
 CUTOFF = 5.0
-# For Gaussian noise in two coordinates: what the mean weight and the mean weighted square lose to these weights, and the
-# variance of plain least squares relative to theirs.
-LOST_WEIGHT, LOST_SQUARE, EFFICIENCY = 0.02462, 0.07188, 0.9887
+# For Gaussian noise: what the mean weight and the mean weighted square lose to these weights, and what the information that
+# the weights say then lacks (derived).
+_ON_NOISE = biquartic_on_noise(CUTOFF)
+LOST_WEIGHT, LOST_SQUARE, GAIN = 1.0 - _ON_NOISE.weight, 1.0 - _ON_NOISE.square, _ON_NOISE.gain
+# The median of the squared length of two Gaussian coordinates, in variances of one (derived).
+MEDIAN_SQUARE = 2.0 * np.log(2.0)
 # A cutoff that loses a good match less often than once in exp(WIDE) where the noise level is itself uncertain.
 WIDE = 8.0
 # Distances from rounding alone, pixels: below it, nothing is noise.
@@ -340,8 +343,8 @@ def fit(
             median, count = _median(squares, top)
             if count < 4:
                 return round_, 1.0, False
-            # 1.386 is the median of the squared length of two Gaussian coordinates; six unknowns have been fitted.
-            variance = median / 1.386 * count / max(count - 3.0, 1.0)
+            # Six unknowns have been fitted.
+            variance = median / MEDIAN_SQUARE * count / max(count - 3.0, 1.0)
             for c in range(len(noise.tops)):
                 _set_noise(noise, c, variance, max(2.0 * count - 6.0, 1.0), top)
         else:
@@ -361,7 +364,7 @@ def information(views: Views, rotation: FloatArray, place: FloatArray, noise: No
     _normal_equations(views, rotation, place, noise, out, np.empty(6))
     for i in range(6):
         for j in range(6):
-            out[i, j] *= EFFICIENCY / (1.0 - LOST_WEIGHT)
+            out[i, j] *= GAIN
 
 
 @kernel

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri, gamma, gammainc
+from scipy.special import chdtri, gamma, gammainc, ndtri
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.compiled import kernel
@@ -36,7 +36,7 @@ __all__ = [
 BISQUARE_BOUND = 1.0 / 3.0
 BIQUARTIC_BOUND = 8.0 / 15.0
 # The standard deviation of a Gaussian variable over the median of its absolute value (derived).
-SIGMA_OF_MEDIAN = 1.4826
+SIGMA_OF_MEDIAN = 1.0 / float(ndtri(0.75))
 
 
 @kernel

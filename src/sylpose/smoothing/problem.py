@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.robust import biquartic_losses, biquartic_weights, robust_sigma
+from sylpose.numerics.robust import biquartic_losses, biquartic_on_noise, biquartic_weights, robust_sigma
 from sylpose.smoothing.kernels import (
     BEHIND_PX,
     Reduced,
@@ -28,8 +28,8 @@ __all__ = ["Problem", "State", "Summary"]
 
 # Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five.
 CUTOFF = 5.0
-# For Gaussian noise in two coordinates: the mean weighted square relative to the mean weight.
-KEPT_SQUARE = 0.95155
+# What the weighted mean square of Gaussian noise then lacks (derived).
+SHRINKAGE = biquartic_on_noise(CUTOFF).shrinkage
 SIGMA_FLOOR_PX = 0.1
 # Degrees of freedom from which a camera's own noise level counts as much as that of all cameras together.
 OWN_FREEDOM = 20.0
@@ -178,7 +178,7 @@ class Problem:
         n, camera = len(self.focals), self.sightings.camera
         poses = 6.0 * self.pattern.shape[0]
         own = 2.0 - leverage - min(poses / max(float(weights.sum()), 1.0), 0.5)
-        squares = np.bincount(camera, weights * np.einsum("ni,ni->n", e, e) / KEPT_SQUARE, minlength=n)
+        squares = np.bincount(camera, weights * np.einsum("ni,ni->n", e, e) / SHRINKAGE, minlength=n)
         freedom = np.bincount(camera, weights * np.maximum(own, 0.0), minlength=n)
         pooled = squares.sum() / max(freedom.sum(), 1e-9)
         variance = (squares + OWN_FREEDOM * pooled) / (freedom + OWN_FREEDOM)

@@ -14,17 +14,17 @@ import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, solve_factored, turn_by
+from sylpose.numerics.robust import bisquare_on_noise
 from sylpose.two_frames.match_cost import match_equations
 from sylpose.two_frames.terms import SURFACE, Stack
 
 __all__ = ["CUTOFF", "SETTLED", "reweight"]
 
 
-# Cutoff of d. With Gaussian noise in both directions d² is chi-squared with two degrees of freedom, for which
-# follow: the weighted mean square over the mean weight, and the information that the estimate has over what its
-# weights say (A² / B / mean weight of the sandwich, 95 % efficient).
+# Cutoff of d: 94 % efficient with Gaussian noise in both directions, for which d² is chi-squared with two degrees of
+# freedom (choice); what the weighted mean square and the information of the weights then lack (derived).
 CUTOFF = 5.0
-SHRINKAGE, EFFICIENCY = 0.8425, 1.109
+SHRINKAGE, GAIN = bisquare_on_noise(CUTOFF).shrinkage, bisquare_on_noise(CUTOFF).gain
 # Cutoffs of the first rounds are wider by these factors: the first motion comes from contaminated matches.
 WIDER = (2.0, 1.5, 1.2)
 # Rounds at least, while the noise level still moves, and at most.
@@ -190,9 +190,9 @@ def reweight(
                 weights[i] = 0.0
     for i in range(6):
         for j in range(6):
-            information[i, j] *= EFFICIENCY
-            without_depth[i, j] *= EFFICIENCY
-            noise[i, j] *= EFFICIENCY
+            information[i, j] *= GAIN
+            without_depth[i, j] *= GAIN
+            noise[i, j] *= GAIN
     return count, promise, cost
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.compiled import cholesky_solve, kernel
-from sylpose.numerics.robust import bisquare
+from sylpose.numerics.robust import SIGMA_OF_MEDIAN, bisquare
 
 __all__ = ["hyperplane_inliers"]
 
@@ -201,7 +201,7 @@ def _drop_far_along(joint: FloatArray, weights: FloatArray, plane: FloatArray) -
                 count += 1
         if count < 8:
             return
-        sigma = 1.4826 * np.median(sizes[:count])
+        sigma = SIGMA_OF_MEDIAN * np.median(sizes[:count])
         for i in range(n):
             kept[i] = 0.0
             if weights[i] > 0.0:

@@ -9,6 +9,7 @@ import numpy as np
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel, rotvec_of
 from sylpose.numerics.matrices import covariance_of
+from sylpose.numerics.robust import chi_squared_bound
 from sylpose.results import Status
 from sylpose.two_frames.fit import Fit
 from sylpose.two_frames.match_cost import match_equations
@@ -20,10 +21,9 @@ __all__ = ["is_consistent", "judged", "observed", "rod_axis", "stands_still", "u
 
 # A direction is "not observable" when its standard deviation exceeds this share of the motion itself.
 UNOBSERVABLE_SHARE = 0.5
-# Chi-square of six unknowns that chance exceeds once in a thousand times: what no motion at all must cost more.
-CERTAIN_MOTION = 22.5
-# Chi-square of three unknowns that chance exceeds once in a thousand times: below it, a turn may be none.
-CERTAIN_TURN = 16.3
+# What no motion at all must cost more, of six unknowns, and a turn, of three: below it, there may be none (chi-squared, once
+# in a thousand times).
+CERTAIN_MOTION, CERTAIN_TURN = chi_squared_bound(6), chi_squared_bound(3)
 # Points that depart from a line by no more than this, in standard deviations of their noise, lie on it.
 ROD_SIGMAS = 2.5
 # So large a share of inliers is not had by chance.
