@@ -18,9 +18,9 @@ from sylpose.landmarks.alignment_kernels import (
     camera_equations,
     disagreement,
     doubt_cameras,
-    eliminate,
     linearise,
     weigh,
+    without_surface,
 )
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.rig import Camera, Rig
@@ -194,7 +194,7 @@ def compiled(
     linearise(stacked, 0, rotation, shift, surface, variance, place, distance, across)
     mass = weigh(stacked, 0, distance, np.empty((n, 2)), weights)
     camera_equations(stacked, 0, variance, mass, place, across, weights, equations)
-    eliminate(one.rotation, surface, equations, gain, reduced)
+    without_surface(one.rotation, surface, equations, gain, reduced)
     return distance, across, weights, reduced[:, :6], reduced[:, 6]
 
 
