@@ -13,16 +13,16 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.landmarks.alignment import Aligned, Sights, align, stack
 from sylpose.landmarks.alignment_kernels import (
+    CUTOFF,
     INDEPENDENT,
     camera_equations,
     disagreement,
     doubt_cameras,
-    eliminate,
     linearise,
     weigh,
+    without_surface,
 )
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.numerics.robust import bisquare
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import dome, ellipsoid, ring
 
@@ -158,7 +158,7 @@ def naive(
     e, variance = image - one.image, (sigma_px / one.focal) ** 2
     v = variance * np.eye(2) + b[:, :, None] * b[:, None, :]
     distance = np.sqrt(np.einsum("ni,nij,nj->n", e, np.linalg.inv(v), e))
-    w = bisquare(distance, 4.7)
+    w = np.maximum(1.0 - (distance / CUTOFF) ** 2, 0.0) ** 2
     least = np.array([w[one.feature == f].min() / (one.feature == f).sum() for f in one.feature])
     w = least * one.trust
     length = np.linalg.norm(b, axis=1)
@@ -194,7 +194,7 @@ def compiled(
     linearise(stacked, 0, rotation, shift, surface, variance, place, distance, across)
     mass = weigh(stacked, 0, distance, np.empty((n, 2)), weights)
     camera_equations(stacked, 0, variance, mass, place, across, weights, equations)
-    eliminate(one.rotation, surface, equations, gain, reduced)
+    without_surface(one.rotation, surface, equations, gain, reduced)
     return distance, across, weights, reduced[:, :6], reduced[:, 6]
 
 

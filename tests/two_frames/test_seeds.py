@@ -1,4 +1,4 @@
-"""Outlier rejection and weights."""
+"""Outlier rejection."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.robust import bisquare, robust_sigma
 from sylpose.simulate import random_motion, simulate_matches
 from sylpose.two_frames.seeds import hyperplane_inliers
 from tests.scenes import BODY, around
@@ -109,36 +108,3 @@ def test_degenerate_points_do_no_harm(seed: int, n: int, rank: int) -> None:
     found = affine_epipolar_inliers(x, 2 * x + 1, 0.01, rng)
     assert found.shape == (n,)
     assert found.all()
-
-
-# --- weights ---------------------------------------------------------------------------------------------------------
-
-
-def test_robust_sigma_is_the_standard_deviation_of_the_bulk() -> None:
-    rng = np.random.default_rng(0)
-    r = 0.7 * rng.standard_normal(20000)
-    assert robust_sigma(r, 0.0) == pytest.approx(0.7, rel=0.03)
-    r[:3000] = 1e6
-    assert robust_sigma(r, 0.0) == pytest.approx(0.7, rel=0.3)
-    assert robust_sigma(-r, 0.0) == robust_sigma(r, 0.0)
-
-
-def test_robust_sigma_has_a_floor() -> None:
-    assert robust_sigma(np.zeros(5), 0.15) == 0.15
-    assert robust_sigma(np.empty(0), 0.15) == 0.15
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.floats(0.1, 100), SEEDS)
-def test_bisquare(cutoff: float, seed: int) -> None:
-    r = cutoff * np.random.default_rng(seed).uniform(-2, 2, 50)
-    w = bisquare(r, cutoff)
-    np.testing.assert_array_equal(w, bisquare(-r, cutoff))
-    assert ((w >= 0) & (w <= 1)).all()
-    np.testing.assert_array_equal(w[np.abs(r) >= cutoff], 0.0)
-    inside = np.sort(np.abs(r[np.abs(r) < cutoff]))
-    assert (np.diff(bisquare(inside, cutoff)) <= 0).all()
-    assert bisquare(np.zeros(1), cutoff)[0] == 1.0
-    assert bisquare(np.array([cutoff / 2]), cutoff)[0] == pytest.approx(0.5625)
-    # One cutoff for each residual works as well.
-    np.testing.assert_allclose(bisquare(r, np.full(50, cutoff)), w)

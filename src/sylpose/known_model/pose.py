@@ -12,7 +12,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.known_model.pose_kernels import (
     CUTOFF,
-    SATURATION,
     Noise,
     Views,
     fit,
@@ -24,6 +23,7 @@ from sylpose.known_model.pose_kernels import (
 )
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.matrices import covariance_of
+from sylpose.numerics.robust import BIQUARTIC_BOUND
 from sylpose.results import Motion, Status
 from sylpose.rig import Camera, Rig
 
@@ -317,7 +317,7 @@ def _unseen(views: Views, poses: Sequence[_Pose], seen: FloatArray) -> FloatArra
     if values[0] >= 1.0 and len(poses) > 1:
         top = CUTOFF**2 * float(np.median(best.noise.variances))
         losses = [score(views, pose.rotation, pose.place, top, np.inf) for pose in poses[:2]]
-        if 0.5 * CUTOFF**2 * SATURATION * (losses[1] - losses[0]) < np.log(CLEAR_ODDS):
+        if 0.5 * CUTOFF**2 * BIQUARTIC_BOUND * (losses[1] - losses[0]) < np.log(CLEAR_ODDS):
             other = Rotation.from_matrix(poses[1].rotation @ best.rotation.T).as_rotvec()
             between = np.concatenate([other, poses[1].place - best.place])
             if np.linalg.norm(other) > UNSEEN_TURN:

@@ -13,19 +13,21 @@ import numpy as np
 from sylpose.known_model.three_rays import three_rays
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.compiled import cholesky_solve, kernel, turn_by
+from sylpose.numerics.robust import BIQUARTIC_BOUND, biquartic, biquartic_loss, biquartic_on_noise
 
-__all__ = ["CUTOFF", "SATURATION", "Noise", "Views", "fit", "information", "minimize", "score", "search", "squares_of"]
+__all__ = ["CUTOFF", "Noise", "Views", "fit", "information", "minimize", "score", "search", "squares_of"]
 
 
-# Weights (1 - (e / (CUTOFF sigma))^4)^2 of a match at the distance e: nearly 1 up to two sigma, 0 beyond five.
+# Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five.
 CUTOFF = 5.0
-# For Gaussian noise in two coordinates: what the mean weight and the mean weighted square lose to these weights, and the
-# variance of plain least squares relative to theirs.
-LOST_WEIGHT, LOST_SQUARE, EFFICIENCY = 0.02462, 0.07188, 0.9887
+# For Gaussian noise: what the mean weight and the mean weighted square lose to these weights, and what the information that
+# the weights say then lacks (derived).
+_ON_NOISE = biquartic_on_noise(CUTOFF)
+LOST_WEIGHT, LOST_SQUARE, GAIN = 1.0 - _ON_NOISE.weight, 1.0 - _ON_NOISE.square, _ON_NOISE.gain
+# The median of the squared length of two Gaussian coordinates, in variances of one (derived).
+MEDIAN_SQUARE = 2.0 * np.log(2.0)
 # A cutoff that loses a good match less often than once in exp(WIDE) where the noise level is itself uncertain.
 WIDE = 8.0
-# The loss that belongs to these weights saturates at this share of half the squared cutoff.
-SATURATION = 8.0 / 15.0
 # Distances from rounding alone, pixels: below it, nothing is noise.
 ROUNDING_PX = 1e-6
 # A camera has a noise of its own when its variance differs from the others' by so many standard deviations, and when it
@@ -111,8 +113,7 @@ def score(views: Views, rotation: FloatArray, place: FloatArray, top: float, bou
         for k in range(views.start[c], views.start[c + 1]):
             depth, _, _, r0, r1 = _seen(views, k, turn, shift)
             share = (r0 * r0 + r1 * r1) / top if depth > 0.0 else 2.0
-            s2 = share * share
-            total += share * (1.0 - s2 * (2.0 / 3.0 - 0.2 * s2)) / SATURATION if share < 1.0 else 1.0
+            total += biquartic_loss(share) / BIQUARTIC_BOUND
         if total > bound:
             return total
     return total
@@ -141,12 +142,10 @@ def _normal_equations(
         for k in range(views.start[c], views.start[c + 1]):
             depth, u, v, r0, r1 = _seen(views, k, turn, shift)
             share = (r0 * r0 + r1 * r1) / top if depth > 0.0 else 2.0
+            loss += 0.5 * top / variance * biquartic_loss(share)
             if not share < 1.0:
-                loss += 0.5 * top / variance * SATURATION
                 continue
-            s2 = share * share
-            loss += 0.5 * top / variance * share * (1.0 - s2 * (2.0 / 3.0 - 0.2 * s2))
-            weight = (1.0 - s2) ** 2 / variance
+            weight = biquartic(share) / variance
             # The point relative to the model's centre, turned into the world.
             x, y, z = views.points[k, 0], views.points[k, 1], views.points[k, 2]
             x0 = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
@@ -251,8 +250,7 @@ def _weigh(squares: FloatArray, start: IntArray, noise: Noise, weights: FloatArr
     """weights (n,) of squared distances (n,)."""
     for c in range(len(start) - 1):
         for k in range(start[c], start[c + 1]):
-            share = squares[k] / noise.tops[c]
-            weights[k] = (1.0 - share * share) ** 2 if share < 1.0 else 0.0
+            weights[k] = biquartic(squares[k] / noise.tops[c])
 
 
 @kernel
@@ -345,8 +343,8 @@ def fit(
             median, count = _median(squares, top)
             if count < 4:
                 return round_, 1.0, False
-            # 1.386 is the median of the squared length of two Gaussian coordinates; six unknowns have been fitted.
-            variance = median / 1.386 * count / max(count - 3.0, 1.0)
+            # Six unknowns have been fitted.
+            variance = median / MEDIAN_SQUARE * count / max(count - 3.0, 1.0)
             for c in range(len(noise.tops)):
                 _set_noise(noise, c, variance, max(2.0 * count - 6.0, 1.0), top)
         else:
@@ -366,7 +364,7 @@ def information(views: Views, rotation: FloatArray, place: FloatArray, noise: No
     _normal_equations(views, rotation, place, noise, out, np.empty(6))
     for i in range(6):
         for j in range(6):
-            out[i, j] *= EFFICIENCY / (1.0 - LOST_WEIGHT)
+            out[i, j] *= GAIN
 
 
 @kernel

@@ -11,11 +11,13 @@ import numpy as np
 
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, solve_factored, turn_by
+from sylpose.numerics.normal_equations import add_turned, eliminate, image_row, turn_rows
+from sylpose.numerics.robust import bisquare
 
 __all__ = ["CUTOFF", "Stacked", "iterate", "linearise"]
 
 
-# Cutoff of the bisquare weights, in standard deviations: 95 % efficient for Gaussian noise.
+# Cutoff of the bisquare weights, in standard deviations: 93 % efficient for Gaussian noise in both coordinates (choice).
 CUTOFF = 4.7
 # Neighbours are off in depth alike: of a camera's matches only so many count as independent of each other along their
 # lines.
@@ -134,9 +136,8 @@ def weigh(stacked: Stacked, c: int, distance: FloatArray, least: FloatArray, wei
     for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
         least[stacked.feature[i], 0], least[stacked.feature[i], 1] = 1.0, 0.0
     for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
-        ratio = (distance[i] / CUTOFF) ** 2
         k = stacked.feature[i]
-        least[k, 0] = min(least[k, 0], (1.0 - ratio) ** 2 if ratio < 1.0 else 0.0)
+        least[k, 0] = min(least[k, 0], bisquare((distance[i] / CUTOFF) ** 2))
         least[k, 1] += 1.0
     mass = 0.0
     for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
@@ -168,7 +169,7 @@ def camera_equations(
         b0, b1, length, along = place[i, 6], place[i, 7], place[i, 8], place[i, 9]
         spare = length * length
         w = weights[i] / (variance + shared * spare)
-        _row(b0, b1, s0, s1, s2, u, v, z, row)
+        image_row(b0, b1, u, v, z, s0, s1, s2, 1.0, row)
         for k in range(3):
             phi[k] = length * stacked.basis[i, k]
         for k in range(6):
@@ -192,7 +193,7 @@ def camera_equations(
             s0, s1, s2 = s0 + nearer * place[i, 10], s1 + nearer * place[i, 11], s2 + nearer * place[i, 12]
             u, v = (u * z + nearer * place[i, 10]) / deeper, (v * z + nearer * place[i, 11]) / deeper
             z = deeper
-        _row(-b1, b0, s0, s1, s2, u, v, z, row)
+        image_row(-b1, b0, u, v, z, s0, s1, s2, 1.0, row)
         for k in range(6):
             share = w * row[k]
             for j in range(k + 1):
@@ -201,58 +202,27 @@ def camera_equations(
 
 
 @kernel
-def _row(n0: float, n1: float, s0: float, s1: float, s2: float, u: float, v: float, z: float, row: FloatArray) -> None:
-    """How (w, d) move the image (u, v) of a point, at s as seen from g, in the direction n."""
-    h0, h1 = n0 / z, n1 / z
-    h2 = -(h0 * u + h1 * v)
-    row[0], row[1], row[2] = s1 * h2 - s2 * h1, s2 * h0 - s0 * h2, s0 * h1 - s1 * h0
-    row[3], row[4], row[5] = h0, h1, h2
-
-
-@kernel
-def eliminate(q: FloatArray, surface: FloatArray, equations: FloatArray, gain: FloatArray, reduced: FloatArray) -> None:
+def without_surface(
+    q: FloatArray, surface: FloatArray, equations: FloatArray, gain: FloatArray, reduced: FloatArray
+) -> None:
     """reduced (6, 7): hessian and gradient of (w, d) without a camera's surface, world axes.
 
     gain (3, 7) becomes the surface's answer to a step: a changes by -(gain[:, 6] + gain[:, :6] (w, d)).
     """
-    block, column, local = np.empty((3, 3)), np.empty(3), np.empty((6, 7))
+    block = np.empty((3, 3))
+    turn_rows(equations[6:, :6], q, gain)
     for k in range(3):
         for j in range(k + 1):
             block[k, j] = equations[6 + k, 6 + j]
         block[k, k] += 1.0
         gain[k, 6] = equations[6 + k, 9] + surface[k]
-        for h in range(2):
-            for j in range(3):
-                gain[k, 3 * h + j] = 0.0
-                for a in range(3):
-                    gain[k, 3 * h + j] += equations[6 + k, 3 * h + a] * q[a, j]
+    reduced[:] = 0.0
+    add_turned(equations, q, reduced)
     for h in range(2):
         for i in range(3):
-            local[3 * h + i, 6] = 0.0
             for a in range(3):
-                local[3 * h + i, 6] += q[a, i] * equations[3 * h + a, 9]
-            for g in range(2):
-                for j in range(3):
-                    s = 0.0
-                    for a in range(3):
-                        for b in range(3):
-                            k, l = 3 * h + a, 3 * g + b
-                            s += q[a, i] * equations[max(k, l), min(k, l)] * q[b, j]
-                    local[3 * h + i, 3 * g + j] = s
-    cholesky(block)
-    reduced[:] = local
-    for j in range(7):
-        for k in range(3):
-            column[k] = gain[k, j]
-        solve_factored(block, column)
-        for i in range(6):
-            for k in range(3):
-                reduced[i, j] -= gain[k, i] * column[k]
-        for k in range(3):
-            local[k, j] = column[k]
-    for k in range(3):
-        for j in range(7):
-            gain[k, j] = local[k, j]
+                reduced[3 * h + i, 6] += q[a, i] * equations[3 * h + a, 9]
+    eliminate(block, gain, reduced)
 
 
 @kernel
@@ -388,7 +358,7 @@ def iterate(
                 mass[c] = 0.0
                 weights[stacked.offsets[c] : stacked.offsets[c + 1]] = 0.0
             camera_equations(stacked, c, variance, mass[c], place, across, weights, equations)
-            eliminate(stacked.rotation[c], surface[c], equations, gains[c], reduced[c])
+            without_surface(stacked.rotation[c], surface[c], equations, gains[c], reduced[c])
         if count == 1 and (mass > 0.0).any():
             # At first all have about the same say, however many matches they have.
             middle = float(np.median(mass[mass > 0.0]))

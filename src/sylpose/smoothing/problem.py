@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.robust import robust_sigma
+from sylpose.numerics.robust import biquartic_losses, biquartic_on_noise, biquartic_weights, robust_sigma
 from sylpose.smoothing.kernels import (
     BEHIND_PX,
     Reduced,
@@ -26,10 +26,10 @@ from sylpose.smoothing.system import System
 __all__ = ["Problem", "State", "Summary"]
 
 
-# Weights (1 - (r / (CUTOFF sigma))^4)^2 of an observation at the distance r: nearly 1 up to two sigma, 0 beyond five.
+# Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five.
 CUTOFF = 5.0
-# For Gaussian noise in two coordinates: the mean weighted square relative to the mean weight.
-KEPT_SQUARE = 0.95155
+# What the weighted mean square of Gaussian noise then lacks (derived).
+SHRINKAGE = biquartic_on_noise(CUTOFF).shrinkage
 SIGMA_FLOOR_PX = 0.1
 # Degrees of freedom from which a camera's own noise level counts as much as that of all cameras together.
 OWN_FREEDOM = 20.0
@@ -143,16 +143,14 @@ class Problem:
     def weights(self, e: FloatArray, sigma: FloatArray) -> FloatArray:
         """(n,) robust weights of residuals (n, 2)."""
         square, top = np.einsum("ni,ni->n", e, e), (CUTOFF * sigma[self.sightings.camera]) ** 2
-        inside = (square < top) & (square < BEHIND_PX**2)
-        return self.counted * np.where(inside, (1.0 - (np.minimum(square, top) / top) ** 2) ** 2, 0.0)
+        return self.counted * np.where(square < BEHIND_PX**2, biquartic_weights(square / top), 0.0)
 
     def cost(self, e: FloatArray, sigma: FloatArray, state: State, held: FloatArray | None) -> float:
         """Half the squares in standard deviations, with weights (n,) that are held, or else saturating for outliers; and
         the same of what is believed."""
         q = np.einsum("ni,ni->n", e, e) / (CUTOFF * sigma[self.sightings.camera]) ** 2
         if held is None:
-            q = np.minimum(q, 1.0)
-            total = 0.5 * CUTOFF**2 * float(self.counted @ (q - 2.0 / 3.0 * q**3 + 0.2 * q**5))
+            total = 0.5 * CUTOFF**2 * float(self.counted @ biquartic_losses(q))
         else:
             total = 0.5 * CUTOFF**2 * float(held @ q)
         change = self._change(state)
@@ -180,7 +178,7 @@ class Problem:
         n, camera = len(self.focals), self.sightings.camera
         poses = 6.0 * self.pattern.shape[0]
         own = 2.0 - leverage - min(poses / max(float(weights.sum()), 1.0), 0.5)
-        squares = np.bincount(camera, weights * np.einsum("ni,ni->n", e, e) / KEPT_SQUARE, minlength=n)
+        squares = np.bincount(camera, weights * np.einsum("ni,ni->n", e, e) / SHRINKAGE, minlength=n)
         freedom = np.bincount(camera, weights * np.maximum(own, 0.0), minlength=n)
         pooled = squares.sum() / max(freedom.sum(), 1e-9)
         variance = (squares + OWN_FREEDOM * pooled) / (freedom + OWN_FREEDOM)

@@ -18,8 +18,9 @@ from sylpose.tracking.crew import Crew
 from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, base_from_reference
 from sylpose.tracking.records import Chance, Known, total_ages
 from sylpose.tracking.sights import ages_of, chance_of, cut, sights_of, smear, usual_age, with_trust
-from sylpose.two_frames.fit import MIN_MATCHES, Fit, fit_terms, no_fit
+from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
+from sylpose.two_frames.solver import fit_terms
 from sylpose.two_frames.terms import TermData
 
 __all__ = ["SOLVERS", "Agreement", "Problem", "Solution", "dealt", "gathered"]

@@ -22,7 +22,8 @@ from sylpose.tracking.records import total_ages
 from sylpose.tracking.sights import usual_age
 from sylpose.tracking.start import first_motion
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame, shown, sightings, unsolved_frame
-from sylpose.two_frames.motion import motion_about, observed
+from sylpose.two_frames.motion import motion_about
+from sylpose.two_frames.verdict import observed
 
 __all__ = ["accept_first", "accepted", "not_found", "triangulated", "with_surface"]
 

@@ -14,7 +14,8 @@ from sylpose.tracking.crew import Crew
 from sylpose.tracking.frame import Pair, still
 from sylpose.tracking.frame_solvers import Agreement, dealt, gathered
 from sylpose.tracking.records import Moved
-from sylpose.two_frames.fit import Fit, fit_terms, no_fit
+from sylpose.two_frames.fit import Fit, no_fit
+from sylpose.two_frames.solver import fit_terms
 from sylpose.two_frames.terms import object_place
 
 __all__ = ["FirstMotion", "first_motion", "is_ambiguous"]

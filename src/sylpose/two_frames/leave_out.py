@@ -23,9 +23,11 @@ from sylpose.matches import STILL_PX
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
+from sylpose.numerics.robust import BISQUARE_BOUND
 from sylpose.paper.bad_cameras import suspect_cameras
-from sylpose.two_frames.fit import FAR_PX, Fit
+from sylpose.two_frames.fit import Fit
 from sylpose.two_frames.reweight import CUTOFF, SIGMA_FLOOR_PX
+from sylpose.two_frames.solver import FAR_PX
 from sylpose.two_frames.terms import TermData
 
 __all__ = ["Solved", "without_faults"]
@@ -53,8 +55,8 @@ MIXED = (0.35, 0.6)
 MAJORITY = 0.66
 # A camera's noise is as usual while its variance exceeds that of the others by no more than so many standard deviations.
 NOISIER = 3.5
-# What a match that is an inlier no more costs, in squares of its noise: the bisquare's bound.
-LOST = CUTOFF**2 / 3.0
+# What a match that is an inlier no more costs, in squares of its noise: the bound of the bisquare's loss (derived).
+LOST = CUTOFF**2 * BISQUARE_BOUND
 # Matches within the first distance of their epipolar lines, in standard deviations, are more than those between it and the
 # second where they are there for a reason; less than such a share of a camera's matches is none.
 NEAR, FAR, SHARE = 1.5, 4.5, 0.3

@@ -19,6 +19,8 @@ import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
+from sylpose.numerics.normal_equations import image_row
+from sylpose.numerics.robust import bisquare
 from sylpose.two_frames.moments_cost import view_of
 from sylpose.two_frames.terms import SURFACE, Stack
 
@@ -111,13 +113,12 @@ def match_equations(
         parallax[i] = length / np.sqrt(noise_b)
         spare = (relief * length) ** 2
         distance[i] = across[i] ** 2 / variance + off * off / (variance * noise_b + spare)
-        ratio = distance[i] / (cutoff * cutoff)
-        weights[i] = (1.0 - ratio) ** 2 if usable[i] and ratio < 1.0 else 0.0
+        weights[i] = bisquare(distance[i] / (cutoff * cutoff)) if usable[i] else 0.0
         if not weights[i] > 0.0:
             continue
         # Along the line: where the surface puts it.
         w = weights[i] / (variance * noise_b + (shared_relief * length) ** 2)
-        _row(b0, b1, u, v, z, r0 + rho * turned[0], r1 + rho * turned[1], r2 + rho * turned[2], rho, row)
+        image_row(b0, b1, u, v, z, r0 + rho * turned[0], r1 + rho * turned[1], r2 + rho * turned[2], rho, row)
         for k in range(6):
             for j in range(k + 1):
                 equations[k, j] += w * row[k] * row[j]
@@ -147,7 +148,7 @@ def match_equations(
                 continue
             u, v = (r0 + rho * tc[0]) / z, (r1 + rho * tc[1]) / z
         w = weights[i] / (variance * noise_n)
-        _row(-b1, b0, u, v, z, r0 + rho * turned[0], r1 + rho * turned[1], r2 + rho * turned[2], rho, row)
+        image_row(-b1, b0, u, v, z, r0 + rho * turned[0], r1 + rho * turned[1], r2 + rho * turned[2], rho, row)
         off = b0 * e1 - b1 * e0
         for k in range(6):
             for j in range(k + 1):
@@ -156,19 +157,6 @@ def match_equations(
         if noise.shape[0] > 0:
             told = unit * spare / (variance * noise_b + spare) * np.sqrt(variance * noise_b) / max(length, 1e-300)
             _add_noise(w * variance, w * told * told, -b1, b0, u, v, z, rc, turned, noise)
-
-
-@kernel
-def _row(
-    n0: float, n1: float, u: float, v: float, z: float, s0: float, s1: float, s2: float, rho: float, row: FloatArray
-) -> None:
-    """How (w, d), in the camera's axes, move a point's image (u, v) in the direction n: (s × h, ρ h) with h = n' D, D the
-    derivative of the image by the point, scaled by ρ, and s = ρ (the point as seen from g, turned).
-    """
-    h0, h1 = n0 / z, n1 / z
-    h2 = -(h0 * u + h1 * v)
-    row[0], row[1], row[2] = s1 * h2 - s2 * h1, s2 * h0 - s0 * h2, s0 * h1 - s1 * h0
-    row[3], row[4], row[5] = rho * h0, rho * h1, rho * h2
 
 
 @kernel
@@ -184,7 +172,7 @@ def _add_noise(
     turned: FloatArray,
     noise: FloatArray,
 ) -> None:
-    """Adds the expected square of what noise in x (both coordinates) and in ρ does to `_row`."""
+    """Adds the expected square of what noise in x (both coordinates) and in ρ does to `image_row`."""
     h0, h1 = n0 / z, n1 / z
     h2 = -(h0 * u + h1 * v)
     by = np.empty(6)

@@ -13,18 +13,19 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, solve_factored, turn_by
+from sylpose.numerics.compiled import cholesky_solve, kernel, solve_factored, turn_by
+from sylpose.numerics.normal_equations import add_turned, eliminate, turn_rows
+from sylpose.numerics.robust import bisquare_on_noise
 from sylpose.two_frames.match_cost import match_equations
 from sylpose.two_frames.terms import SURFACE, Stack
 
 __all__ = ["CUTOFF", "SETTLED", "reweight"]
 
 
-# Cutoff of d. With Gaussian noise in both directions d² is chi-squared with two degrees of freedom, for which
-# follow: the weighted mean square over the mean weight, and the information that the estimate has over what its
-# weights say (A² / B / mean weight of the sandwich, 95 % efficient).
+# Cutoff of d: 94 % efficient with Gaussian noise in both directions, for which d² is chi-squared with two degrees of
+# freedom (choice); what the weighted mean square and the information of the weights then lack (derived).
 CUTOFF = 5.0
-SHRINKAGE, EFFICIENCY = 0.8425, 1.109
+SHRINKAGE, GAIN = bisquare_on_noise(CUTOFF).shrinkage, bisquare_on_noise(CUTOFF).gain
 # Cutoffs of the first rounds are wider by these factors: the first motion comes from contaminated matches.
 WIDER = (2.0, 1.5, 1.2)
 # Rounds at least, while the noise level still moves, and at most.
@@ -122,7 +123,7 @@ def reweight(
                     for j in range(SURFACE):
                         open_prior[k, j] = 1e-6 * prior[k, j]
                 _reduce(stack, t, surface[t], open_prior, equations, without_depth, unused, gains[t])
-                _add_turned(noise_now, stack.qy[t], noise)
+                add_turned(noise_now, stack.qy[t], noise)
             if not trusted[t]:
                 gains[t] = 0.0
             elif not _reduce(stack, t, surface[t], prior, equations, total, right, gains[t]):
@@ -190,9 +191,9 @@ def reweight(
                 weights[i] = 0.0
     for i in range(6):
         for j in range(6):
-            information[i, j] *= EFFICIENCY
-            without_depth[i, j] *= EFFICIENCY
-            noise[i, j] *= EFFICIENCY
+            information[i, j] *= GAIN
+            without_depth[i, j] *= GAIN
+            noise[i, j] *= GAIN
     return count, promise, cost
 
 
@@ -211,34 +212,17 @@ def _reduce(
 
     gain (6, 7) becomes the surface's answer: α changes by gain[:, 6] - gain[:, :6] (w, d).
     """
-    block, column, small = np.empty((SURFACE, SURFACE)), np.empty(SURFACE), np.empty((6, 7))
-    of_motion = np.empty((6, 6))
+    block, column, kept = np.empty((SURFACE, SURFACE)), np.empty(SURFACE), np.zeros((6, 7))
     q = stack.qy[t]
-    # From the camera's axes to the world's: both halves of (w, d) turn with Q.
+    turn_rows(equations[6:, :6], q, gain)
     for k in range(SURFACE):
-        for h in range(2):
-            for j in range(3):
-                s = 0.0
-                for a in range(3):
-                    s += equations[6 + k, 3 * h + a] * q[a, j]
-                gain[k, 3 * h + j] = s
         gain[k, 6] = equations[6 + k, 12]
         for j in range(SURFACE):
             gain[k, 6] -= prior[k, j] * (surface[j] - stack.surface_mean[t, j])
-    for k in range(SURFACE):
-        for j in range(7):
-            small[k, j] = gain[k, j]
-    for i in range(SURFACE):
-        for j in range(i + 1):
-            block[i, j] = block[j, i] = equations[6 + i, 6 + j] + prior[i, j]
-    if not cholesky(block):
+            block[k, j] = equations[6 + k, 6 + j] + prior[k, j]
+    add_turned(equations, q, kept)
+    if not eliminate(block, gain, kept):
         return False
-    for c in range(7):
-        for i in range(SURFACE):
-            column[i] = gain[i, c]
-        solve_factored(block, column)
-        for i in range(SURFACE):
-            gain[i, c] = column[i]
     # What the data say of α, as a number of unknowns: trace of block^-1 (block - prior).
     unknowns = float(SURFACE)
     for c in range(SURFACE):
@@ -250,32 +234,13 @@ def _reduce(
     # The derivative of log det(block) / 2, from the likelihood with α integrated out.
     pull = INTEGRATED * unknowns / max(equations[6, 13], 1e-300)
     for i in range(6):
-        for j in range(i + 1):
-            of_motion[i, j] = of_motion[j, i] = equations[i, j]
-    _add_turned(of_motion, q, total)
-    for i in range(6):
         h, j = i // 3, i % 3
+        right[i] += kept[i, 6]
         for a in range(3):
             right[i] += q[a, j] * (equations[3 * h + a, 12] - pull * equations[3 * h + a, 13])
-        for k in range(SURFACE):
-            right[i] -= small[k, i] * gain[k, 6]
-            for j2 in range(6):
-                total[i, j2] -= small[k, i] * gain[k, j2]
+        for j in range(6):
+            total[i, j] += kept[i, j]
     return True
-
-
-@kernel
-def _add_turned(block: FloatArray, q: FloatArray, total: FloatArray) -> None:
-    """Adds a (6, 6) form in the camera's axes to one in the world's: both halves turn with Q."""
-    for h in range(2):
-        for g in range(2):
-            for i in range(3):
-                for j in range(3):
-                    s = 0.0
-                    for a in range(3):
-                        for b in range(3):
-                            s += q[a, i] * block[3 * h + a, 3 * g + b] * q[b, j]
-                    total[3 * h + i, 3 * g + j] += s
 
 
 @kernel

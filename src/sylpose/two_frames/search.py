@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, rotation_of, rotvec_of, solve_factored, turn_by
+from sylpose.numerics.compiled import cholesky_solve, kernel, rotation_of, rotvec_of, turn_by
+from sylpose.numerics.normal_equations import eliminate
 from sylpose.two_frames.moments_cost import along_variance, term_equations, term_misfit
 from sylpose.two_frames.terms import Stack
 
@@ -27,36 +28,38 @@ MIRRORS = 4
 
 
 @kernel
-def _eliminate(hessian: FloatArray, gradient: FloatArray, damping: float, gain: FloatArray) -> bool:
-    """gain (3, 7): a term's surface block solved for its coupling to the motion and for its gradient."""
-    block, column = np.empty((3, 3)), np.empty(3)
-    for i in range(3):
-        for j in range(3):
-            block[i, j] = hessian[6 + i, 6 + j]
-        block[i, i] *= 1.0 + damping
-    if not cholesky(block):
-        return False
-    for k in range(7):
-        for i in range(3):
-            column[i] = hessian[6 + i, k] if k < 6 else gradient[6 + i]
-        solve_factored(block, column)
-        for i in range(3):
-            gain[i, k] = column[i]
-    return True
+def _reduce(
+    hessian: FloatArray,
+    gradient: FloatArray,
+    damping: float,
+    trust: float,
+    gain: FloatArray,
+    total: FloatArray,
+    right: FloatArray,
+) -> bool:
+    """Adds a term's normal equations, its surface eliminated, to total (6, 6) and to right (6,), the negative gradient.
 
-
-@kernel
-def _reduce(hessian: FloatArray, gradient: FloatArray, gain: FloatArray, total: FloatArray, right: FloatArray) -> None:
-    """Adds a term's normal equations without its surface to total (6, 6) and to right (6,), the negative gradient."""
-    for i in range(6):
-        right[i] -= gradient[i]
-        for k in range(3):
-            right[i] += hessian[i, 6 + k] * gain[k, 6]
+    gain (3, 7) becomes the surface's answer: α changes by -(gain[:, 6] + gain[:, :6] (w, d)).
+    """
+    block, kept = np.empty((3, 3)), np.empty((6, 7))
+    for k in range(3):
         for j in range(6):
-            s = hessian[i, j]
-            for k in range(3):
-                s -= hessian[i, 6 + k] * gain[k, j]
-            total[i, j] += s
+            gain[k, j] = hessian[6 + k, j]
+        for j in range(3):
+            block[k, j] = hessian[6 + k, 6 + j]
+        block[k, k] *= 1.0 + damping
+        gain[k, 6] = gradient[6 + k]
+    for i in range(6):
+        for j in range(6):
+            kept[i, j] = hessian[i, j]
+        kept[i, 6] = gradient[i]
+    if not eliminate(block, gain, kept):
+        return False
+    for i in range(6):
+        right[i] -= trust * kept[i, 6]
+        for j in range(6):
+            total[i, j] += trust * kept[i, j]
+    return True
 
 
 @kernel
@@ -123,13 +126,7 @@ def minimize(
             right[:] = 0.0
             sound = True
             for t in range(n):
-                sound = sound and _eliminate(hessian[t], gradient[t], damping, gain[t])
-                if not sound:
-                    break
-                if trust[t] == 1.0:
-                    _reduce(hessian[t], gradient[t], gain[t], total, right)
-                else:
-                    _reduce(trust[t] * hessian[t], trust[t] * gradient[t], gain[t], total, right)
+                sound = sound and _reduce(hessian[t], gradient[t], damping, trust[t], gain[t], total, right)
             if sound:
                 # Turns and shifts have different units: each block is damped by its own trace.
                 turns, shifts = total[0, 0] + total[1, 1] + total[2, 2], total[3, 3] + total[4, 4] + total[5, 5]

@@ -6,8 +6,9 @@ import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.compiled import cholesky_solve, kernel
+from sylpose.numerics.robust import SIGMA_OF_MEDIAN, bisquare
 
-__all__ = ["bisquare", "hyperplane_inliers"]
+__all__ = ["hyperplane_inliers"]
 
 
 # Matches that hypotheses are scored on, at most: enough to tell them apart, and the cost stays bounded.
@@ -200,16 +201,10 @@ def _drop_far_along(joint: FloatArray, weights: FloatArray, plane: FloatArray) -
                 count += 1
         if count < 8:
             return
-        sigma = 1.4826 * np.median(sizes[:count])
+        sigma = SIGMA_OF_MEDIAN * np.median(sizes[:count])
         for i in range(n):
             kept[i] = 0.0
             if weights[i] > 0.0:
-                ratio = (along[i] / (ALONG_CUTOFF * sigma + 1e-300)) ** 2
-                kept[i] = (1.0 - ratio) ** 2 if ratio < 1.0 else 0.0
+                kept[i] = bisquare((along[i] / (ALONG_CUTOFF * sigma + 1e-300)) ** 2)
     for i in range(n):
         weights[i] = 1.0 if kept[i] > 0.0 else 0.0
-
-
-def bisquare(residuals: FloatArray, cutoff: FloatArray | float) -> FloatArray:
-    """Tukey's bisquare weights: (1 - (r / cutoff)^2)^2 inside the cutoff, 0 outside."""
-    return np.asarray(np.maximum(1.0 - (residuals / cutoff) ** 2, 0.0) ** 2)
