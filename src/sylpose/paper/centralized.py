@@ -29,7 +29,7 @@ from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.matrices import transpose
 from sylpose.paper.orthographic import quadratics_of
-from sylpose.paper.so3 import FLAT, STATIONARY, cost_of, derivatives, minimize_batch, multiplier_of
+from sylpose.paper.so3 import FLAT, cost_of, minimize_batch
 from sylpose.results import Status
 
 __all__ = [
@@ -156,9 +156,7 @@ class CentralizedBatch:
         )
 
 
-def solve_centralized(
-    rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool = True, symmetric: bool = False
-) -> CentralizedSolution:
+def solve_centralized(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool = True) -> CentralizedSolution:
     """The object's rotation between two frames from the second moments of all cameras' matches.
 
     Views are orthographic, of one scale per camera: depth that changes between the frames is not modelled. Cameras
@@ -171,20 +169,15 @@ def solve_centralized(
         moments: C pair moments.
         aim: turn each camera, in each frame, onto the mean ray of its matches first: perspective images are orthographic
             to first order only about that ray. False for points that are orthographic, whose mean is no direction.
-        symmetric: fit frame j from frame i and frame i from frame j at once, so that exchanging the frames gives the
-            inverse rotation. The condition for exactness is then stricter: depths uncorrelated with the images in both
-            frames, as of points spread equally in all directions.
 
     Raises:
         ValueError: shapes that do not fit, matrices that are no rotations, matches without any spread.
     """
     matrices = np.array([m.matrix for m in moments]).reshape(1, len(moments), 9, 9)
-    return solve_centralized_batch(rotations, matrices, aim=aim, symmetric=symmetric)[0]
+    return solve_centralized_batch(rotations, matrices, aim=aim)[0]
 
 
-def solve_centralized_batch(
-    rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True, symmetric: bool = False
-) -> CentralizedBatch:
+def solve_centralized_batch(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True) -> CentralizedBatch:
     """`solve_centralized` for N problems of C cameras each: the same answers to the bit, whatever the others are.
 
     Args:
@@ -194,19 +187,17 @@ def solve_centralized_batch(
     Raises:
         ValueError: as `solve_centralized`; moments that are not finite or not symmetric.
     """
-    q = quadratics_of(rotations, moments, aim=aim, symmetric=symmetric)
+    q = quadratics_of(rotations, moments, aim=aim)
     found = minimize_batch(q.H, q.h)
-    best = found.candidates[:, 0]
-    gradient, hessian = derivatives(q.H, q.h, best)
+    best = q.at(found.candidates[:, 0])
     costs = cost_of(q.H[:, None], q.h[:, None], found.candidates) + q.constant[:, None]
-    variance = np.maximum(costs[:, 0], 1e-12 * np.maximum(q.constant, 1.0)) * q.scale / q.weight
     return CentralizedBatch(
         candidates=found.candidates,
         counts=found.counts,
-        costs=costs,
+        costs=costs / q.scale[:, None],
         certified=found.certified,
-        converged=np.abs(gradient).max(axis=1) < STATIONARY,
-        multiplier=multiplier_of(q.H, q.h, best),
-        information=hessian * (q.scale / variance)[:, None, None],
+        converged=best.stationary,
+        multiplier=best.multiplier / q.scale[:, None, None],
+        information=best.information,
         iterations=found.iterations,
     )

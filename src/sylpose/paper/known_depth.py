@@ -22,9 +22,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.matrices import checked_rotations
+from sylpose.numerics.matrices import checked_rotations, transpose
 from sylpose.paper.centralized import status_of, unseen_turns
-from sylpose.paper.so3 import CERTIFICATE, STATIONARY, cost_of, derivatives, minimize, multiplier_of
+from sylpose.paper.so3 import CERTIFICATE, LEAST, Quadratic, minimize
 from sylpose.results import Status
 
 __all__ = ["KnownDepthSolution", "solve_2d3d", "solve_3d3d"]
@@ -34,8 +34,6 @@ __all__ = ["KnownDepthSolution", "solve_2d3d", "solve_3d3d"]
 ROUNDING = 1e-12
 # Points whose distance from their mean is this share of that from the origin are spread by rounding only.
 FALLEN = 16 * float(np.finfo(float).eps)
-# The residuals' mean square is taken to be at least this share of the points' own.
-LEAST = 1e-12
 # No weight is larger, and one that is smaller than the inverse is none.
 MOST = 1e100
 
@@ -126,28 +124,31 @@ def solve_2d3d(
         raise ValueError("no camera has points")
     center = sum((s.weight * s.mean_x for s in sets), start=np.zeros(3)) / weight
     PQ = Q[:, :2]
-    H = sum((np.kron(p.T @ p, s.s_xx) for p, s in zip(PQ, sets, strict=True)), start=np.zeros((9, 9)))
-    h = sum((p.T @ s.s_yx for p, s in zip(PQ, sets, strict=True)), start=np.zeros((3, 3))).ravel()
-    scale = float(np.trace(H)) / 9
+    q = Quadratic.of_terms(
+        transpose(PQ) @ PQ,
+        np.array([s.s_xx for s in sets]),
+        transpose(PQ) @ np.array([s.s_yx for s in sets]),
+        np.array([s.half_yy for s in sets]),
+        np.array([s.weight for s in sets]),
+    )
+    scale = float(q.scale)
     if not scale > FALLEN**2 * sum(s.total for s in sets):
         return _nothing(center, np.full(3, np.nan))
-    H, h, constant = (H + H.T) / (2 * scale), h / scale, sum(s.half_yy for s in sets) / scale
-    candidates, certified, iterations = minimize(H, h)
+    candidates, certified, iterations = minimize(q.H, q.h)
     R = np.asarray(candidates[0])
-    gradient, hessian = derivatives(H, h, R)
-    converged, L = bool(np.abs(gradient).max() < STATIONARY), multiplier_of(H, h, R)
+    best = q.at(R)
+    converged, H, L = bool(best.stationary), q.H / scale, best.multiplier / scale
     if not certified and converged:
         seen = PQ[[s.weight > 0 for s in sets]]
         if _proved_by_two_rows(seen, H, L) or _proved_by_two_columns(
             np.sum([s.s_xx for s in sets], axis=0), H, R.T @ L @ R
         ):
             certified, candidates = True, candidates[:1]
-    costs = cost_of(H, h, candidates) + constant
-    variance = max(float(costs[0]), LEAST * max(constant, 1.0)) * scale / weight
-    information = hessian * scale / variance
+    costs = q.cost(candidates) / scale
+    information = best.information
     unseen = unseen_turns(information)
     status = status_of(converged, certified, information)
-    d, of_d = _displacement(PQ, o, sets, R, center, variance)
+    d, of_d = _displacement(PQ, o, sets, R, center, float(q.variance(best.cost)))
     return KnownDepthSolution(status, candidates, costs, certified, L, information, unseen, center, d, of_d, iterations)
 
 
@@ -171,7 +172,7 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
     d, scale = s.mean_y - s.mean_x, float(np.trace(s.s_xx)) / 3
     if not scale > FALLEN**2 * s.total:
         return _nothing(s.mean_x, d)
-    S, C, constant = s.s_xx / scale, s.s_yx / scale, s.half_yy / scale
+    S, C = s.s_xx / scale, s.s_yx / scale
     U, sigma, W = np.linalg.svd(C)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ W))])
     R, K = (U * signs) @ W, (U * signs * sigma) @ U.T
@@ -179,8 +180,9 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
     values, vectors = np.linalg.eigh(hessian)
     if values[0] <= ROUNDING * values[1]:
         R = _least_turn(R, vectors[:, 0])
-    cost = max(constant + 0.5 * float(np.trace(S)) - float(np.trace(K)), 0.0)
-    variance = max(cost, LEAST * max(constant, 1.0)) * scale / s.weight * 2 / 3
+    squares = (s.half_yy / scale) + 0.5 * float(np.trace(S))
+    cost = max(squares - float(np.trace(K)), 0.0)
+    variance = max(cost, LEAST * squares) * scale / s.weight * 2 / 3
     information = hessian * scale / variance
     unseen = unseen_turns(information)
     return KnownDepthSolution(

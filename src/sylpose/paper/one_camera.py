@@ -43,7 +43,6 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import transpose
 from sylpose.paper.centralized import status_of, unseen_turns
 from sylpose.paper.orthographic import Views, quadratic_of, views_of
-from sylpose.paper.so3 import derivatives
 from sylpose.results import Status
 
 __all__ = ["OneCameraSolution", "solve_one_camera", "solve_unconstrained"]
@@ -68,7 +67,7 @@ class OneCameraSolution:
         N: (2, 2) upper-left block of the rotation as the camera sees it (turned onto the mean rays, with `aim`).
         m: (2,) the rest of its first two rows, with m[0] > 0, or m[0] = 0 and m[1] >= 0.
         multiplier: (2, 2) L of Sylvester's equation in the units of `cost`; zero for the unconstrained estimate.
-        cost: half the sum of squared residuals, in units of 2/9 tr S_xx (those of `Quadratic` for this one camera).
+        cost: half the sum of squared residuals, in units of 2/9 tr S_xx (`Quadratic.scale` of this one camera).
         information: (2, 3, 3) of w, R = exp(w) rotations[k], world axes, 1/rad²: the Hessian of the cost on SO(3) over
             the residuals' variance, as in `CentralizedSolution`. It knows nothing of the other, mirrored solution.
         unseen: (2, k, 3) for each rotation the unit directions of w, world axes, that are not seen (`unseen_turns`).
@@ -262,8 +261,7 @@ def _solution(views: Views, axes: FloatArray, block: _Block) -> OneCameraSolutio
     m = (-m if m[0] < 0 or (m[0] == 0 and m[1] < 0) else m) + 0.0  # no -0
     rotations = transpose(views.rotation_y) @ np.array([_rotation(N, m), _rotation(N, -m)]) @ views.rotation_x
     q = quadratic_of(views)
-    _, hessian = derivatives(q.H, q.h, rotations)
-    information = hessian * q.scale / q.variance(rotations[0])
+    cost, _, _, information = q.at(rotations)
     unseen = unseen_turns(information)
     return OneCameraSolution(
         status=status_of(True, block.proved, information[0]),
@@ -271,7 +269,7 @@ def _solution(views: Views, axes: FloatArray, block: _Block) -> OneCameraSolutio
         N=N,
         m=m,
         multiplier=4.5 * block.multiplier,
-        cost=q.cost(rotations[0]),
+        cost=float(cost[0] / q.scale),
         information=information,
         unseen=unseen,
         iterations=block.iterations,

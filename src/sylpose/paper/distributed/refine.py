@@ -5,7 +5,7 @@ rotation, 72 bytes a round: consensus ADMM on Sylvester's equations. A step is a
 (state, packets): nothing is shared, bytes come in and bytes go out, so that it runs the same in one process
 (`simulated`), in many, or on many machines. `exchange` and `gossip` are schemes of the same kind.
 
-With H_c, h_c of camera c (`orthographic.Quadratic`, not scaled) and its penalty p_c = 0.1 trace(H_c), it sends
+With H_c, h_c of camera c (`so3.Quadratic`) and its penalty p_c = 0.1 trace(H_c), it sends
 V_c = p_c R_c + Y_c, Y_c its multiplier. From the V of all cameras each one computes
 
     Z = the rotation nearest to Σ V_c,   (H_c + p_c I) r_c = h_c + vec(2 p_c Z - V_c),   V_c += 1.6 p_c (R_c - Z),
@@ -49,10 +49,10 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.distributed.evidence import Evidence, evidence_of, information_of
+from sylpose.paper.distributed.evidence import evidence_of
 from sylpose.paper.distributed.messages import Inbox, Message, Packet, encode, newest, read
 from sylpose.paper.orthographic import views_of
-from sylpose.paper.so3 import FLAT, cost_of, derivatives, minimize
+from sylpose.paper.so3 import FLAT, LEAST, Quadratic, derivatives, minimize
 
 __all__ = ["PATIENCE", "RefineState", "refine_start", "refine_step"]
 
@@ -77,7 +77,7 @@ class Member(NamedTuple):
     Attributes:
         V: (3, 3) as it enters the mean.
         change: relative change by the last message; wander: its mean over the last ten or so.
-        report: in its newest message, if it has settled or is to leap: Hessian (6), cost, constant and weight of its
+        report: in its newest message, if it has settled or is to leap: Hessian (6), cost, size and weight of its
             evidence at its Z, then the five numbers of `_curve`. Else empty.
         final: it has settled.
         round: of its newest message. heard: messages so far.
@@ -118,7 +118,7 @@ class RefineState:
 
     camera: int
     others: tuple[int, ...]
-    evidence: Evidence
+    evidence: Quadratic
     penalty: float
     gain: FloatArray
     bound: int
@@ -205,10 +205,10 @@ def refine_step(state: RefineState, inbox: Inbox) -> tuple[RefineState, list[Pac
     reports = {c: own if c == s.camera else m.report for c, m in s.members.items()}
     information, line, leap = None, None, False
     if all(r.size for r in reports.values()):
-        hessian, cost, constant, weight = _unpacked(np.sum([r[:9] for r in reports.values()], axis=0))
+        hessian, cost, size, weight = _unpacked(np.sum([r[:9] for r in reports.values()], axis=0))
         curvature, axes = np.linalg.eigh(hessian)
         if settled and curvature[0] > -FLAT * curvature[2] and weight > 0:
-            information = information_of(hessian, cost, constant, weight)
+            information = hessian * (weight / max(cost, LEAST * size))
         elif s.leaps < LEAPS:
             line = (axes[:, 0], Z)
             own = np.concatenate([own, _curve(s.evidence, *line)])
@@ -332,16 +332,15 @@ def _without_strays(s: RefineState) -> RefineState:
     )
 
 
-def _report(e: Evidence, rotation: FloatArray) -> FloatArray:
+def _report(e: Quadratic, rotation: FloatArray) -> FloatArray:
     hessian = derivatives(e.H, e.h, rotation)[1]
-    cost = max(float(cost_of(e.H, e.h, rotation)) + e.constant, 0.0)
-    return np.array([*hessian[_UPPER], cost, e.constant, e.weight])
+    return np.array([*hessian[_UPPER], max(float(e.cost(rotation)), 0.0), e.size, e.weight])
 
 
-def _curve(e: Evidence, axis: FloatArray, rotation: FloatArray) -> FloatArray:
+def _curve(e: Quadratic, axis: FloatArray, rotation: FloatArray) -> FloatArray:
     """(5,) of the cost at exp(a axis) R: the coefficients of 1, cos a, sin a, cos 2a, sin 2a, which is all there is."""
     angles = np.asarray(2 * np.pi / 5 * np.arange(5), dtype=float)
-    costs = cost_of(e.H, e.h, Rotation.from_rotvec(angles[:, None] * axis).as_matrix() @ rotation)
+    costs = e.cost(Rotation.from_rotvec(angles[:, None] * axis).as_matrix() @ rotation) - e.constant
     return np.asarray(np.linalg.solve(_waves(angles), costs), dtype=float)
 
 

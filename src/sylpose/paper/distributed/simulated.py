@@ -26,8 +26,7 @@ from sylpose.paper.distributed.gossip import gossip_start, gossip_step
 from sylpose.paper.distributed.messages import HEADER, Inbox, Packet
 from sylpose.paper.distributed.refine import refine_start, refine_step
 from sylpose.paper.orthographic import quadratic_of, views_of
-from sylpose.paper.so3 import STATIONARY, derivatives, multiplier_of
-from sylpose.paper.so3_kernels import CERTIFICATE
+from sylpose.paper.so3 import CERTIFICATE
 from sylpose.results import Status
 
 __all__ = ["Agreement", "Faults", "Nonsense", "run", "solve_exchange", "solve_gossip", "solve_refine"]
@@ -290,9 +289,9 @@ def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome
 def _certified(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, rotation: FloatArray) -> bool:
     """Whether a rotation is stationary for these cameras together, and K positive definite there (`paper.so3`)."""
     q = quadratic_of(views_of(Q, moments, aim=aim))
-    gradient, _ = derivatives(q.H, q.h, rotation)
-    K = q.H + kron(multiplier_of(q.H, q.h, rotation), np.eye(3))
-    return bool(np.abs(gradient).max() < STATIONARY and np.linalg.eigvalsh(K)[0] > CERTIFICATE)
+    at = q.at(rotation)
+    K = q.H + kron(at.multiplier, np.eye(3))
+    return bool(at.stationary and np.linalg.eigvalsh(K)[0] > CERTIFICATE * q.scale)
 
 
 def _nonsense(kind: Nonsense, data: bytes, rng: np.random.Generator) -> bytes:
