@@ -1,6 +1,6 @@
 """The distributed estimators run in one process: cameras that exchange bytes over a network that may fail.
 
-    solve_exchange, solve_refine, solve_gossip    one call each, by default without any fault
+    solve_exchange, solve_refine, solve_gossip    one call each, by default undisturbed
     run                                           any cameras' steps, over any network
 
 What one camera does is in `exchange`, `refine` and `gossip`; here is only what carries their packets, counts them and
@@ -29,7 +29,7 @@ from sylpose.paper.orthographic import quadratic_of, views_of
 from sylpose.paper.so3 import CERTIFICATE
 from sylpose.results import Status
 
-__all__ = ["Agreement", "Faults", "Nonsense", "run", "solve_exchange", "solve_gossip", "solve_refine"]
+__all__ = ["Agreement", "Disturbances", "Nonsense", "run", "solve_exchange", "solve_gossip", "solve_refine"]
 
 Nonsense = Literal["nan", "huge", "long", "truncated", "false"]
 
@@ -37,8 +37,8 @@ AGREED = 1e-7  # radians between the answers of cameras that agree
 
 
 @dataclass(frozen=True)
-class Faults:
-    """What goes wrong.
+class Disturbances:
+    """What goes wrong on a simulated network.
 
     Attributes:
         loss: share of the packets that get lost, each link by itself.
@@ -68,7 +68,7 @@ class Faults:
             raise ValueError(f"nonsense must be one of {', '.join(get_args(Nonsense))}, got {sorted(unknown)}")
 
 
-NO_FAULTS = Faults()
+UNDISTURBED = Disturbances()
 
 
 class CameraState(Protocol):
@@ -132,7 +132,7 @@ def solve_exchange(
     *,
     aim: bool = True,
     rounds: int = 1,
-    faults: Faults = NO_FAULTS,
+    disturbances: Disturbances = UNDISTURBED,
 ) -> Agreement:
     """Every camera sends its moments to all, `rounds` times, and solves with what it heard.
 
@@ -145,9 +145,9 @@ def solve_exchange(
     Raises:
         ValueError: as `solve_centralized`.
     """
-    Q = _checked(rotations, moments, aim, faults)
+    Q = _checked(rotations, moments, aim, disturbances)
     starts = [lambda c=c: exchange_start(c, Q, moments[c], aim=aim, rounds=rounds) for c in range(len(Q))]
-    return _agreement(Q, moments, aim, run(starts, exchange_step, faults, rounds + 1))
+    return _agreement(Q, moments, aim, run(starts, exchange_step, disturbances, rounds + 1))
 
 
 def solve_refine(
@@ -156,17 +156,17 @@ def solve_refine(
     *,
     aim: bool = True,
     bound: int = 500,
-    faults: Faults = NO_FAULTS,
+    disturbances: Disturbances = UNDISTURBED,
 ) -> Agreement:
     """The paper's scheme: cameras send rotations, in up to `bound` rounds. Arguments and errors as `solve_exchange`.
 
     It finds a minimum, not always the least one where there are several (collinear points, say): NOT_CERTIFIED then. Of
     matches that mean nothing it may find none.
     """
-    Q = _checked(rotations, moments, aim, faults)
+    Q = _checked(rotations, moments, aim, disturbances)
     everyone = range(len(Q))
     starts = [lambda c=c: refine_start(c, everyone, Q[c], moments[c], aim=aim, bound=bound) for c in everyone]
-    return _agreement(Q, moments, aim, run(starts, refine_step, faults, bound + 1))
+    return _agreement(Q, moments, aim, run(starts, refine_step, disturbances, bound + 1))
 
 
 def solve_gossip(
@@ -176,7 +176,7 @@ def solve_gossip(
     graph: Iterable[tuple[int, int]] | None = None,
     aim: bool = True,
     bound: int = 1000,
-    faults: Faults = NO_FAULTS,
+    disturbances: Disturbances = UNDISTURBED,
 ) -> Agreement:
     """Average consensus of the evidence over a graph, in up to `bound` rounds.
 
@@ -187,11 +187,11 @@ def solve_gossip(
     Raises:
         ValueError: as `solve_exchange`; a graph that is not connected.
     """
-    Q = _checked(rotations, moments, aim, faults)
+    Q = _checked(rotations, moments, aim, disturbances)
     n = len(Q)
     pairs = [(c, (c + 1) % n) for c in range(n)][: n if n > 2 else n - 1] if graph is None else list(graph)
     starts = [lambda c=c: gossip_start(c, n, pairs, Q[c], moments[c], aim=aim, bound=bound) for c in range(n)]
-    return _agreement(Q, moments, aim, run(starts, gossip_step, faults, bound + 1))
+    return _agreement(Q, moments, aim, run(starts, gossip_step, disturbances, bound + 1))
 
 
 class Outcome(NamedTuple, Generic[State]):
@@ -208,50 +208,51 @@ class Outcome(NamedTuple, Generic[State]):
 def run(
     starts: Sequence[Callable[[], tuple[State, list[Packet]]]],
     step: Callable[[State, Inbox], tuple[State, list[Packet]]],
-    faults: Faults,
+    disturbances: Disturbances,
     bound: int,
 ) -> Outcome[State]:
     """Let cameras make steps, all once a round, until all that live are done; at most `bound` rounds after the last join."""
     n = len(starts)
-    rng = np.random.default_rng(faults.seed)
+    rng = np.random.default_rng(disturbances.seed)
     states: list[State | None] = [None] * n
     under_way: dict[int, list[tuple[int, int, bytes]]] = {}  # round of arrival -> (to, from, data)
     sent, received = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     rounds = 0
-    for now in range(bound + max(faults.joins.values(), default=0) + 1):
+    for now in range(bound + max(disturbances.joins.values(), default=0) + 1):
         inboxes: list[list[tuple[int, bytes]]] = [[] for _ in range(n)]
         for to, sender, data in under_way.pop(now, []):
             inboxes[to].append((sender, data))
         active = False
         for c in range(n):
             state = states[c]
-            if now >= faults.dies.get(c, now + 1) or (state is not None and state.done):
+            if now >= disturbances.dies.get(c, now + 1) or (state is not None and state.done):
                 continue
             active = True
-            if now < faults.joins.get(c, 0):
+            if now < disturbances.joins.get(c, 0):
                 continue
             received[c] += sum(len(data) for _, data in inboxes[c])
             states[c], packets = starts[c]() if state is None else step(state, inboxes[c])
             for packet in packets:
-                data = packet.data if c not in faults.nonsense else _nonsense(faults.nonsense[c], packet.data, rng)
+                kind = disturbances.nonsense.get(c)
+                data = packet.data if kind is None else _nonsense(kind, packet.data, rng)
                 sent[c] += len(data)
                 for to in packet.to:
-                    if rng.random() >= faults.loss:
-                        late = int(rng.integers(faults.delay + 1))
+                    if rng.random() >= disturbances.loss:
+                        late = int(rng.integers(disturbances.delay + 1))
                         under_way.setdefault(now + 1 + late, []).append((to, c, data))
         if not active:
             break
         rounds = now
-    return Outcome(states, [c not in faults.dies for c in range(n)], rounds, sent, received)
+    return Outcome(states, [c not in disturbances.dies for c in range(n)], rounds, sent, received)
 
 
-def _checked(rotations: ArrayLike, moments: Sequence[PairMoments], aim: bool, faults: Faults) -> FloatArray:
+def _checked(rotations: ArrayLike, moments: Sequence[PairMoments], aim: bool, disturbances: Disturbances) -> FloatArray:
     """The rotations; all errors that the centralised estimator would raise."""
     Q = checked_rotations(rotations, len(moments))
     quadratic_of(views_of(Q, moments, aim=aim))
-    unknown = {*faults.dies, *faults.joins, *faults.nonsense} - set(range(len(Q)))
+    unknown = {*disturbances.dies, *disturbances.joins, *disturbances.nonsense} - set(range(len(Q)))
     if unknown:
-        raise ValueError(f"faults of cameras {sorted(unknown)}: there are cameras 0 to {len(Q) - 1}")
+        raise ValueError(f"disturbances of cameras {sorted(unknown)}: there are cameras 0 to {len(Q) - 1}")
     return Q
 
 
