@@ -30,7 +30,7 @@ from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.matrices import transpose
 from sylpose.paper.orthographic import quadratics_of
 from sylpose.paper.so3 import FLAT, cost_of, minimize_batch
-from sylpose.results import Status
+from sylpose.results import RotationEstimate, Status
 
 __all__ = [
     "CentralizedBatch",
@@ -70,20 +70,21 @@ def status_of(converged: bool, certified: bool, information: FloatArray) -> Stat
 
 
 @dataclass(frozen=True, eq=False)
-class CentralizedSolution:
+class CentralizedSolution(RotationEstimate):
     """The rotation that all cameras agree on best, orthographic views.
 
     Attributes:
+        status: see `status_of`.
+        rotation: (3, 3) the first of `candidates`.
+        information: (3, 3) the Hessian of the cost on SO(3) over the residuals' variance (weighted mean square per
+            coordinate; at least 1e-12 of the points' own).
+        iterations: Newton steps, on the dual and, where that gave no certificate, on SO(3).
         candidates: (k, 3, 3) rotations: the global optimum when `certified`, else all local minima found, best first
             (a single camera's mirrored pair, for instance). Where a direction is not observable they sample a continuum.
         costs: (k,) half the sum of squared residuals of each, in units in which H has the mean eigenvalue 1.
         certified: K is positive definite, so that `rotation` is the one global optimum. Never for a single camera.
         converged: `rotation` is a stationary point of the cost.
         multiplier: (3, 3) L of Sylvester's equation at `rotation`, in the units of `costs`.
-        information: (3, 3) of w, R = exp(w) rotation, world axes, 1/rad²: the Hessian of the cost on SO(3) over the
-            residuals' variance (weighted mean square per coordinate; at least 1e-12 of the points' own). It shows the
-            directions that cannot be observed; it knows nothing of the model's bias.
-        iterations: Newton steps, on the dual and, where that gave no certificate, on SO(3).
     """
 
     candidates: FloatArray
@@ -91,23 +92,11 @@ class CentralizedSolution:
     certified: bool
     converged: bool
     multiplier: FloatArray
-    information: FloatArray
-    iterations: int
-
-    @property
-    def rotation(self) -> FloatArray:
-        """(3, 3) the best rotation, X_j = R X_i + t in the world frame."""
-        return np.asarray(self.candidates[0])
 
     @property
     def cost(self) -> float:
         """The cost at `rotation`."""
         return float(self.costs[0])
-
-    @property
-    def status(self) -> Status:
-        """See `status_of`."""
-        return status_of(self.converged, self.certified, self.information)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,15 +133,17 @@ class CentralizedBatch:
         return (self[n] for n in range(len(self)))
 
     def __getitem__(self, n: int) -> CentralizedSolution:
-        k = self.counts[n]
+        k, certified, converged = self.counts[n], bool(self.certified[n]), bool(self.converged[n])
         return CentralizedSolution(
-            candidates=self.candidates[n, :k],
-            costs=self.costs[n, :k],
-            certified=bool(self.certified[n]),
-            converged=bool(self.converged[n]),
-            multiplier=self.multiplier[n],
+            status=status_of(converged, certified, self.information[n]),
+            rotation=self.candidates[n, 0],
             information=self.information[n],
             iterations=int(self.iterations[n]),
+            candidates=self.candidates[n, :k],
+            costs=self.costs[n, :k],
+            certified=certified,
+            converged=converged,
+            multiplier=self.multiplier[n],
         )
 
 

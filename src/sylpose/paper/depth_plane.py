@@ -36,10 +36,10 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.matrices import covariance_of, kron, transpose
+from sylpose.numerics.matrices import kron, transpose
 from sylpose.paper.depth_plane_kernels import RELIEF, costs, derivatives
 from sylpose.paper.orthographic import views_of
-from sylpose.results import Status
+from sylpose.results import RotationEstimate, Status
 
 __all__ = ["DepthPlaneSolution", "solve_depth_plane"]
 
@@ -70,42 +70,30 @@ _SIGNS = 1 - 2 * np.array(list(np.ndindex(2, 2, 2)))[1:]
 
 
 @dataclass(frozen=True, eq=False)
-class DepthPlaneSolution:
+class DepthPlaneSolution(RotationEstimate):
     """The rotation that all cameras agree on best, with what each believes of the depth that it sees.
 
     Attributes:
         status: OK; TOO_FEW_MATCHES (no answer: no camera has three matches with spread); TURN_NOT_OBSERVABLE (one
             camera, or a direction whose standard deviation exceeds half of the turn, and a degree); NOT_CERTIFIED
             (another rotation, beyond this one's uncertainty, is nearly as likely); NOT_CONVERGED.
-        rotation: (3, 3) R, X_j = R X_i + t in the world frame; NaN without an answer. Where a part of the turn is not
-            observable, the best guess.
+        information: (3, 3) of w, what each camera believes of its own depth eliminated.
+        iterations: steps of all searches together.
         planes: (C, 2) slopes a of the depth in units of the depth at the camera's mean ray, along the x and y axes of the
             camera turned onto that ray. NaN in this and what follows for a camera without three matches.
         scales: (C,) s, by which the image of the object grows.
         relief: (C,) ζ, the standard deviation of the depth about the plane, same units.
         sigma: (C,) noise of an image coordinate, normalised units.
         cost: minus the logarithm of the likelihood and the priors, but for a constant.
-        information: (3, 3) of w, R = exp(w) rotation, world axes, 1/rad², what each camera believes of its own depth
-            eliminated. Zero without an answer.
         converged: the search settled, or its bound of iterations ended it within 0.05 standard deviations.
-        iterations: steps of all searches together.
     """
 
-    status: Status
-    rotation: FloatArray
     planes: FloatArray
     scales: FloatArray
     relief: FloatArray
     sigma: FloatArray
     cost: float
-    information: FloatArray
     converged: bool
-    iterations: int
-
-    @property
-    def covariance(self) -> FloatArray:
-        """(3, 3) the inverse of `information`; infinite variances on the axes that share an unknown direction."""
-        return covariance_of(self.information)
 
 
 class _Problem(NamedTuple):

@@ -25,7 +25,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import checked_rotations, transpose
 from sylpose.paper.centralized import status_of, unseen_turns
 from sylpose.paper.so3 import CERTIFICATE, LEAST, Quadratic, minimize
-from sylpose.results import Status
+from sylpose.results import RotationEstimate, Status
 
 __all__ = ["KnownDepthSolution", "solve_2d3d", "solve_3d3d"]
 
@@ -39,43 +39,36 @@ MOST = 1e100
 
 
 @dataclass(frozen=True, eq=False)
-class KnownDepthSolution:
+class KnownDepthSolution(RotationEstimate):
     """The motion of points that are known in 3D.
 
     Attributes:
         status: OK; NOT_CERTIFIED, the best of all minima found; NOT_CONVERGED; TURN_NOT_OBSERVABLE, something is `unseen`.
+        rotation: (3, 3) the first of `candidates`; NaN where no points are spread: then the information is zero, the
+            multiplier too.
+        information: (3, 3) as in `CentralizedSolution`.
+        iterations: of the minimiser; 0 for the closed form.
         candidates: (k, 3, 3) rotations: the global optimum when `certified`, else all local minima found, best first
             (two mirrored ones of a flat object in one camera, for instance); where something is not seen they sample a
-            continuum. One of NaN where no points are spread: then the information is zero, the multiplier too.
+            continuum.
         costs: (k,) half the sum of squared residuals of each, in units in which H has the mean eigenvalue 1.
         certified: `rotation` is proved to be the global optimum.
         multiplier: (3, 3) L of Sylvester's equation at `rotation`, in the units of `costs`.
-        information: (3, 3) of w, R = exp(w) rotation, world axes, 1/rad²: the Hessian of the cost on SO(3) over the
-            residuals' variance (weighted mean square per coordinate; at least 1e-12 of the points' own).
         unseen: (k, 3) unit directions of w that are not seen (`unseen_turns`).
         center: (3,) weighted mean of all points in frame i, world.
         displacement: (3,) d of the centre, X_j = R (X_i - center) + center + d; of least length where a direction is not
             seen (one camera: along its axis). NaN without a rotation, but for 3D-3D.
         displacement_information: (3, 3) of d given the rotation; zero along what is not seen.
-        iterations: of the minimiser; 0 for the closed form.
     """
 
-    status: Status
     candidates: FloatArray
     costs: FloatArray
     certified: bool
     multiplier: FloatArray
-    information: FloatArray
     unseen: FloatArray
     center: FloatArray
     displacement: FloatArray
     displacement_information: FloatArray
-    iterations: int
-
-    @property
-    def rotation(self) -> FloatArray:
-        """(3, 3) the best rotation, X_j = R X_i + t in the world frame."""
-        return np.asarray(self.candidates[0])
 
     @property
     def translation(self) -> FloatArray:
@@ -149,7 +142,9 @@ def solve_2d3d(
     unseen = unseen_turns(information)
     status = status_of(converged, certified, information)
     d, of_d = _displacement(PQ, o, sets, R, center, float(q.variance(best.cost)))
-    return KnownDepthSolution(status, candidates, costs, certified, L, information, unseen, center, d, of_d, iterations)
+    return KnownDepthSolution(
+        status, R, information, iterations, candidates, costs, certified, L, unseen, center, d, of_d
+    )
 
 
 def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> KnownDepthSolution:
@@ -187,6 +182,7 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
     unseen = unseen_turns(information)
     return KnownDepthSolution(
         status=status_of(True, True, information),
+        rotation=R,
         candidates=R[None],
         costs=np.array([cost]),
         certified=True,
@@ -304,6 +300,7 @@ def _nothing(center: FloatArray, displacement: FloatArray) -> KnownDepthSolution
     """Points that fall together: nothing of the turn is seen."""
     return KnownDepthSolution(
         status=Status.TURN_NOT_OBSERVABLE,
+        rotation=np.full((3, 3), np.nan),
         candidates=np.full((1, 3, 3), np.nan),
         costs=np.zeros(1),
         certified=False,

@@ -43,7 +43,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import transpose
 from sylpose.paper.centralized import status_of, unseen_turns
 from sylpose.paper.orthographic import Views, quadratic_of, views_of
-from sylpose.results import Status
+from sylpose.results import RotationEstimate, Status
 
 __all__ = ["OneCameraSolution", "solve_one_camera", "solve_unconstrained"]
 
@@ -57,7 +57,7 @@ STILL = 1e-15
 
 @dataclass(frozen=True, eq=False)
 class OneCameraSolution:
-    """The two rotations that one camera cannot tell apart, orthographic views.
+    """The two rotations that one camera cannot tell apart, orthographic views: two `RotationEstimate` in one.
 
     Attributes:
         status: OK, the rotation is found but for the mirror; TURN_NOT_OBSERVABLE, besides that something is `unseen`;
@@ -83,6 +83,11 @@ class OneCameraSolution:
     information: FloatArray
     unseen: FloatArray
     iterations: int
+
+    def nearest(self, guess: FloatArray) -> RotationEstimate:
+        """Of the two that which is nearer to a guess (3, 3): the camera itself cannot tell."""
+        k = int(np.argmin(np.linalg.norm(self.rotations - guess, axis=(1, 2))))
+        return RotationEstimate(self.status, self.rotations[k], self.information[k], self.iterations)
 
 
 def solve_one_camera(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> OneCameraSolution:

@@ -27,7 +27,7 @@ from sylpose.paper.distributed.messages import HEADER, Inbox, Packet
 from sylpose.paper.distributed.refine import refine_start, refine_step
 from sylpose.paper.orthographic import quadratic_of, views_of
 from sylpose.paper.so3 import CERTIFICATE
-from sylpose.results import Status
+from sylpose.results import RotationEstimate
 
 __all__ = ["Agreement", "Disturbances", "Nonsense", "run", "solve_exchange", "solve_gossip", "solve_refine"]
 
@@ -92,7 +92,7 @@ State = TypeVar("State", bound=CameraState)
 
 
 @dataclass(frozen=True, eq=False)
-class Agreement:
+class Agreement(RotationEstimate):
     """What C cameras came to.
 
     Attributes:
@@ -101,6 +101,7 @@ class Agreement:
         rotation: (3, 3) the one they agree on, X_j = R X_i + t in the world frame: the first such camera's. NaN if none
             converged.
         information: (3, 3) as in `CentralizedSolution`, as that camera found it.
+        iterations: rounds until the last camera was done.
         certified: the multiplier proves `rotation` the global optimum for the cameras in `used`. Checked from outside,
             with everybody's moments: in `refine` no camera could.
         rotations: (C, 3, 3) each camera's answer, NaN where it has none.
@@ -108,22 +109,22 @@ class Agreement:
         spread: largest angle between `rotation` and that of another such camera, radians.
         used: the cameras whose evidence is in `rotation`.
         refused: camera -> why another one did not listen to it.
-        rounds: until the last camera was done.
         sent, received: (C,) bytes; a packet to several cameras is sent once.
     """
 
-    status: Status
-    rotation: FloatArray
-    information: FloatArray
     certified: bool
     rotations: FloatArray
     converged: BoolArray
     spread: float
     used: tuple[int, ...]
     refused: dict[int, str]
-    rounds: int
     sent: IntArray
     received: IntArray
+
+    @property
+    def rounds(self) -> int:
+        """The same as `iterations`."""
+        return self.iterations
 
 
 def solve_exchange(
@@ -275,13 +276,13 @@ def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome
         status=status_of(agreed, certified, information),
         rotation=rotation,
         information=information,
+        iterations=outcome.rounds,
         certified=certified,
         rotations=np.array([np.full((3, 3), np.nan) if r is None else r for r in found]),
         converged=converged,
         spread=spread,
         used=used,
         refused=dict(sorted(refused.items())),
-        rounds=outcome.rounds,
         sent=outcome.sent,
         received=outcome.received,
     )
