@@ -133,7 +133,7 @@ def _second_moments(Q: FloatArray, M: FloatArray, aim: bool) -> _Parts:
         Q = np.array(np.broadcast_to(Q, (*count.shape, 3, 3)))
         return Q, Q, Sxx, Syx, Syy, count
     # Turned by T onto a mean ray, δ away from it in the image, a point is P T Q X / Z at exactly (P T P') δ.
-    Tx, Ty = turn_to(Ex), turn_to(Ey)
+    Tx, Ty = turn_to(np.stack([Ex, Ey]))
     Jx, Jy = Tx[..., :2, :2], Ty[..., :2, :2]
     return Tx @ Q, Ty @ Q, Jx @ Sxx @ transpose(Jx), Jy @ Syx @ transpose(Jx), Jy @ Syy @ transpose(Jy), count
 

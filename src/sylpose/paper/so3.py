@@ -11,6 +11,7 @@ Source: the equation is Chen & Schonfeld's (2010); the dual, the certificate and
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -99,7 +100,7 @@ class Quadratic:
         """The cost of both sets of residuals together."""
         return Quadratic(self.H + other.H, self.h + other.h, self.constant + other.constant, self.weight + other.weight)
 
-    @property
+    @cached_property
     def scale(self) -> FloatArray:
         """(...) the mean eigenvalue of H: what to divide by to compare costs with 1."""
         return np.asarray(np.trace(self.H, axis1=-2, axis2=-1) / 9)
@@ -119,8 +120,8 @@ class Quadratic:
 
     def at(self, rotations: FloatArray) -> Point:
         """All that is asked at rotations (..., 3, 3)."""
-        cost = self.cost(rotations)
-        gradient, hessian = derivatives(self.H, self.h, rotations)
+        cost, gradient, hessian = _with_derivatives(self.H, self.h, rotations)
+        cost = cost + self.constant
         return Point(
             cost,
             np.abs(gradient).max(axis=-1) < STATIONARY * self.scale,
@@ -187,17 +188,22 @@ def derivatives(H: FloatArray, h: FloatArray, rotations: FloatArray) -> tuple[Fl
 
     H (..., 9, 9) and h (..., 9) broadcast.
     """
+    return _with_derivatives(H, h, rotations)[1:]
+
+
+def _with_derivatives(H: FloatArray, h: FloatArray, rotations: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`cost_of` and `derivatives`."""
     shape, n = rotations.shape[:-2], rotations[..., 0, 0].size
-    gradient, hessian = np.empty((*shape, 3)), np.empty((*shape, 3, 3))
+    cost, gradient, hessian = np.empty(shape), np.empty((*shape, 3)), np.empty((*shape, 3, 3))
     derivatives_each(
         _plain(np.broadcast_to(H, (*shape, 9, 9)).reshape(n, 9, 9)),
         _plain(np.broadcast_to(h, (*shape, 9)).reshape(n, 9)),
         _plain(rotations.reshape(n, 3, 3)),
-        np.empty(n),
+        cost.reshape(n),
         gradient.reshape(n, 3),
         hessian.reshape(n, 3, 3),
     )
-    return gradient, hessian
+    return cost, gradient, hessian
 
 
 def _times(H: FloatArray, rotations: FloatArray) -> FloatArray:
