@@ -20,7 +20,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import checked_rotations, transpose, turn_to
 from sylpose.paper.so3 import Quadratic
 
-__all__ = ["Views", "quadratic_of", "quadratics_of", "views_of"]
+__all__ = ["Terms", "Views", "quadratic_of", "quadratics_of", "terms_of", "views_of"]
 
 _Parts = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -60,6 +60,21 @@ class Views(NamedTuple):
         )
 
 
+class Terms(NamedTuple):
+    """What C cameras' views are in Sylvester's equation, and in the cost that it is of (`Quadratic.of_terms`).
+
+    Attributes:
+        A, B, C: (..., C, 3, 3).
+        constant: (..., C) half the sum of squares in frame j. weight: (..., C) Σ w.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    constant: FloatArray
+    weight: FloatArray
+
+
 def views_of(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool = True) -> Views:
     """The views of C cameras.
 
@@ -78,16 +93,22 @@ def views_of(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool 
 
 
 def quadratic_of(views: Views) -> Quadratic:
-    """The least squares over all cameras, depth ignored: Sylvester's equation with
-
-        A_c = Q'P'PQ,   B_c = Q'P' S_xx P Q,   C_c = Q'P' S_yx P Q,   P = [1 0 0; 0 1 0].
+    """The least squares over all cameras, depth ignored: of `terms_of` these views.
 
     Raises:
         ValueError: no camera has matches with any spread.
     """
-    q = _quadratics(*views[:6])
+    q = Quadratic.of_terms(*terms_of(views))
     _check_spread(q.scale[None], np.array([views.total]))
     return q
+
+
+def terms_of(views: Views) -> Terms:
+    """Each camera's terms of Sylvester's equation Σ A_c R B_c + L R = Σ C_c:
+
+    A_c = Q'P'PQ,   B_c = Q'P' S_xx P Q,   C_c = Q'P' S_yx P Q,   P = [1 0 0; 0 1 0].
+    """
+    return _terms(*views[:6])
 
 
 def quadratics_of(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True) -> Quadratic:
@@ -111,7 +132,7 @@ def quadratics_of(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True)
         Q = checked_rotations(Q.reshape(-1, *Q.shape[2:]), n * c).reshape(n, c, 3, 3)
     else:
         Q = checked_rotations(Q, c)
-    q = _quadratics(*_second_moments(Q, M, aim))
+    q = Quadratic.of_terms(*_terms(*_second_moments(Q, M, aim)))
     _check_spread(q.scale, _squares(M))
     return q
 
@@ -138,13 +159,12 @@ def _second_moments(Q: FloatArray, M: FloatArray, aim: bool) -> _Parts:
     return Tx @ Q, Ty @ Q, Jx @ Sxx @ transpose(Jx), Jy @ Syx @ transpose(Jx), Jy @ Syy @ transpose(Jy), count
 
 
-def _quadratics(
+def _terms(
     Qx: FloatArray, Qy: FloatArray, Sxx: FloatArray, Syx: FloatArray, Syy: FloatArray, weights: FloatArray
-) -> Quadratic:
-    """Summed over the cameras."""
+) -> Terms:
     PQx, PQy = Qx[..., :2, :], Qy[..., :2, :]
     A, B = transpose(PQy) @ PQy, transpose(PQx) @ Sxx @ PQx
-    return Quadratic.of_terms(A, B, transpose(PQy) @ Syx @ PQx, np.trace(Syy, axis1=-2, axis2=-1) / 2, weights)
+    return Terms(A, B, transpose(PQy) @ Syx @ PQx, np.trace(Syy, axis1=-2, axis2=-1) / 2, weights)
 
 
 def _check_spread(scale: FloatArray, total: FloatArray) -> None:

@@ -18,6 +18,7 @@ from sylpose.paper.distributed.gossip import gossip_start, gossip_step
 from sylpose.paper.distributed.messages import Message, decode, encode, newest, read
 from sylpose.paper.distributed.refine import PATIENCE, PENALTY, RELAXATION, RefineState, refine_start, refine_step
 from sylpose.paper.equation import solve_generalized_sylvester
+from sylpose.paper.one_camera import solve_one_camera
 from sylpose.paper.orthographic import quadratic_of, views_of
 from sylpose.paper.so3 import Quadratic
 from tests.paper.test_centralized import moments_of, noisy_problem, quick, seeds
@@ -144,7 +145,20 @@ def test_it_starts_at_the_mean_of_a_cameras_two_mirrored_solutions(seed: int) ->
     both = [alone.rotation, mirror @ alone.rotation @ mirror]
     q = quadratic_of(views_of(cameras[:1], moments[:1], aim=False))
     assert q.cost(both[1]) == pytest.approx(q.cost(both[0]), rel=1e-9, abs=1e-12 * float(q.scale))
-    np.testing.assert_allclose(state.sent.values.reshape(3, 3) / state.penalty, np.mean(both, axis=0), atol=1e-6)
+    start = state.sent.values.reshape(3, 3) / state.penalty
+    np.testing.assert_allclose(start, np.mean(both, axis=0), atol=1e-6)
+    own = solve_one_camera(cameras[0], moments[0], aim=False).rotations
+    np.testing.assert_allclose(start, own.mean(axis=0), atol=1e-14)
+
+
+def test_a_camera_without_a_solution_of_its_own_adds_nothing() -> None:
+    """Its matches are all at one point, spread by a little more and a little less than rounding."""
+    cameras, _ = problem(3, 3)
+    for spread in (0.0, 1e-8, 2e-7):
+        x = 1.0 + spread * np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
+        state, _ = refine_start(0, range(3), cameras[0], PairMoments.from_matches(x, x), aim=False)
+        assert (state.penalty > 0) == bool(state.sent.values.any()) == bool(state.evidence.weight)
+        assert np.isfinite(state.sent.values).all()
 
 
 def test_a_step_is_a_pure_function() -> None:

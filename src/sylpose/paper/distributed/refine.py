@@ -8,9 +8,10 @@ rotation, 72 bytes a round: consensus ADMM on Sylvester's equations. A step is a
 With H_c, h_c of camera c (`so3.Quadratic`) and its penalty p_c = 0.1 trace(H_c), it sends
 V_c = p_c R_c + Y_c, Y_c its multiplier. From the V of all cameras each one computes
 
-    Z = the rotation nearest to Σ V_c,   (H_c + p_c I) r_c = h_c + vec(2 p_c Z - V_c),   V_c += 1.6 p_c (R_c - Z),
+    Z = the rotation nearest to Σ V_c,   A_c R_c B_c + p_c R_c = C_c + 2 p_c Z - V_c,   V_c += 1.6 p_c (R_c - Z),
 
-ADMM in the form of Douglas & Rachford, over-relaxed. The middle equation is Sylvester's, A_c R B_c + p_c R = C_c + ...
+ADMM in the form of Douglas & Rachford, over-relaxed. The middle one is the camera's own Sylvester's equation, p_c in the
+place of the multiplier. Its left side stays what it is: it is solved once, for nine right sides, and a step is a product.
 As the nearest rotation does not depend on scale, penalties may differ and no camera need know another's. Where nothing
 changes any more, R_c = Z for all c and Σ (C_c - A_c Z B_c) = L Z with L = L', the centralised equation.
 
@@ -51,8 +52,10 @@ from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.distributed.evidence import evidence_of
 from sylpose.paper.distributed.messages import Inbox, Message, Packet, encode, newest, read
-from sylpose.paper.orthographic import views_of
-from sylpose.paper.so3 import FLAT, LEAST, Quadratic, derivatives, minimize
+from sylpose.paper.equation import solve_generalized_sylvester
+from sylpose.paper.one_camera import solve_one_camera
+from sylpose.paper.orthographic import terms_of, views_of
+from sylpose.paper.so3 import FLAT, LEAST, Quadratic, derivatives
 
 __all__ = ["PATIENCE", "RefineState", "refine_start", "refine_step"]
 
@@ -97,7 +100,7 @@ class RefineState:
     """One camera of `refine`.
 
     Attributes:
-        evidence, penalty, gain: its H_c, h_c; p_c; p_c (H_c + p_c I)⁻¹, all that is ever factored.
+        evidence, penalty, gain: its H_c, h_c; p_c; p_c times the solutions of A_c R B_c + p_c R = E_k, columns of (9, 9).
         sent: its last message.
         members: the cameras that take part.
         history: (V, change of V) of the last rounds, all members in order.
@@ -158,7 +161,7 @@ class RefineState:
 def refine_start(
     camera: int, others: Iterable[int], rotation: ArrayLike, moments: PairMoments, *, aim: bool = True, bound: int = 500
 ) -> tuple[RefineState, list[Packet]]:
-    """A camera and its first message: its own solution, or rather the mean of the two mirrored ones that one camera
+    """A camera and its first message: its own solution (`solve_one_camera`), the mean of the two mirrored ones that it
     cannot tell apart.
 
     Args:
@@ -168,15 +171,16 @@ def refine_start(
         bound: rounds after which it gives up.
     """
     e = evidence_of(rotation, moments, aim=aim)
-    penalty = PENALTY * float(np.trace(e.H))
-    gain, V = np.zeros((9, 9)), np.zeros((3, 3))
-    if penalty > 0:
-        gain = np.asarray(penalty * np.linalg.inv(e.H + penalty * np.eye(9)))
-        scale = np.trace(e.H) / 9
-        own = minimize(e.H / scale, e.h / scale)[0][0]
-        views = views_of(np.asarray(rotation, dtype=float)[None], [moments], aim=aim)
-        mirror_x, mirror_y = (q[0].T @ np.diag([1.0, 1, -1]) @ q[0] for q in (views.rotation_x, views.rotation_y))
-        V = penalty * (own + mirror_y @ own @ mirror_x) / 2
+    own = solve_one_camera(rotation, moments, aim=aim).rotations.mean(axis=0)
+    penalty, gain, V = 0.0, np.zeros((9, 9)), np.zeros((3, 3))
+    if not np.isfinite(own).all():
+        e = Quadratic.zero()
+    if e.weight > 0:
+        penalty = PENALTY * float(np.trace(e.H))
+        A, B = terms_of(views_of(np.asarray(rotation, dtype=float)[None], [moments], aim=aim))[:2]
+        right_sides = np.eye(9).reshape(9, 3, 3)
+        solved = solve_generalized_sylvester([A[0], penalty * np.eye(3)], [B[0], np.eye(3)], right_sides)
+        gain, V = penalty * solved.reshape(9, 9).T, penalty * own
     message = Message(0, True, False, V.ravel())
     s = RefineState(camera, tuple(c for c in others if c != camera), e, penalty, gain, bound, message)
     return s, _packets(s)
