@@ -14,7 +14,7 @@ from sylpose.app.notes import notes
 from sylpose.app.run import Run, output_path, track_session
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
-from sylpose.two_frames.fit import warm_up
+from sylpose.two_frames.solver import warm_up
 
 __all__ = ["track_aloud", "why_nothing"]
 

@@ -24,7 +24,7 @@ from sylpose.smoothing.trajectory import Track, smooth
 from sylpose.sync.offsets import OFFSETS_FILE, retimed
 from sylpose.sync.pulses import Delays, Pulse, coarse_offsets, image_speed, small_grey, split_offsets
 from sylpose.tracking.tracker import track
-from sylpose.two_frames.fit import warm_up
+from sylpose.two_frames.solver import warm_up
 
 __all__ = ["Known", "Synced", "sync_aloud", "sync_session", "write_offsets"]
 

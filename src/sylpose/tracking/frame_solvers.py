@@ -17,8 +17,9 @@ from sylpose.paper.known_depth import solve_2d3d
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.frame import Pair, Reference, still
-from sylpose.two_frames.fit import MIN_MATCHES, Fit, fit_terms, no_fit
+from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
+from sylpose.two_frames.solver import fit_terms
 
 __all__ = ["SOLVERS", "best_landmarks", "usual_age"]
 

@@ -10,7 +10,8 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.frame import Pair, Reference, inliers_of, still
-from sylpose.two_frames.fit import Fit, fit_terms, no_fit
+from sylpose.two_frames.fit import Fit, no_fit
+from sylpose.two_frames.solver import fit_terms
 from sylpose.two_frames.terms import object_place
 
 __all__ = ["displacement", "first_motion", "is_ambiguous"]

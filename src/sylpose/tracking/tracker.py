@@ -28,8 +28,9 @@ from sylpose.tracking.start import displacement, first_motion, is_ambiguous
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame, solved_frame, unsolved_frame
 from sylpose.tracking.velocity import Velocity
 from sylpose.two_frames.fit import MIN_MATCHES, Fit
-from sylpose.two_frames.motion import motion_about, observed
+from sylpose.two_frames.motion import motion_about
 from sylpose.two_frames.terms import object_place
+from sylpose.two_frames.verdict import observed
 
 __all__ = ["Sightings", "TrackedFrame", "Tracker", "track"]
 

@@ -24,8 +24,9 @@ from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
 from sylpose.paper.bad_cameras import suspect_cameras
-from sylpose.two_frames.fit import FAR_PX, Fit
+from sylpose.two_frames.fit import Fit
 from sylpose.two_frames.reweight import CUTOFF, SIGMA_FLOOR_PX
+from sylpose.two_frames.solver import FAR_PX
 from sylpose.two_frames.terms import TermData
 
 __all__ = ["Solved", "without_faults"]

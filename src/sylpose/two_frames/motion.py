@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,29 +12,22 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.matches import Matches
 from sylpose.methods import MOTION_METHODS as METHODS
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import rotvec_of
 from sylpose.numerics.matrices import covariance_of, forget
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig
-from sylpose.two_frames.fit import MIN_MATCHES, Fit, fit_terms, no_fit
+from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.leave_out import Solved, without_faults
 from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
+from sylpose.two_frames.solver import fit_terms
 from sylpose.two_frames.terms import TermData, object_place
+from sylpose.two_frames.verdict import judged
 
 __all__ = [
     "METHODS",
     "estimate_motion",
     "estimate_motions",
     "motion_about",
-    "observed",
-    "unseen",
 ]
-
-
-# A direction is "not observable" when its standard deviation exceeds this share of the motion itself.
-UNOBSERVABLE_SHARE = 0.5
-# Chi-square of three unknowns that chance exceeds once in a thousand times: below it, a turn may be none.
-CERTAIN_TURN = 16.3
 
 
 def estimate_motion(
@@ -140,43 +132,6 @@ def estimate_motions(
         return list(pool.map(one, pairs))
 
 
-def observed(fit: Fit, radius: float) -> Fit:
-    """The fit with its status set to what its information shows: all of it seen, or the scale, or a turn not."""
-    return _judged(fit, radius)[0]
-
-
-def _judged(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
-    """`observed`, and the directions (k, 6) that its status is about."""
-    if fit.status not in (Status.OK, Status.NOT_CERTIFIED):
-        return fit, np.empty((0, 6))
-    directions = unseen(fit, radius)
-    if len(directions) == 0:
-        return fit, directions
-    turn = np.linalg.norm(radius * directions[:, :3], 2) ** 2 > 0.5
-    return replace(fit, status=Status.TURN_NOT_OBSERVABLE if turn else Status.SCALE_NOT_OBSERVABLE), directions
-
-
-def unseen(fit: Fit, radius: float) -> FloatArray:
-    """The directions (k, 6) of (w, d) that the matches leave open, whatever is believed of the object's distance.
-
-    A turn moves the object's surface by radius times angle, a displacement by its length: in that measure, rows are
-    orthonormal, and a direction is open when its standard deviation exceeds half of the motion itself
-    (`UNOBSERVABLE_SHARE`): even the sign of what it adds is then in doubt. A displacement without a turn has no observable
-    length; a turn that is mere noise must not pretend to one.
-    """
-    scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
-    values, vectors = np.linalg.eigh(fit.information_without_depth * np.outer(scale, scale))
-    turn, length = np.empty(3), float(np.linalg.norm(fit.shift))
-    rotvec_of(fit.rotation, turn)
-    size = np.hypot(radius * np.linalg.norm(turn), length)
-    weak = vectors[:, values * (UNOBSERVABLE_SHARE * size) ** 2 < 1.0].T
-    if len(weak) == 0 and length > radius * np.linalg.norm(turn):
-        of_turn = np.linalg.inv(covariance_of(fit.information)[:3, :3])
-        if turn @ of_turn @ turn < CERTAIN_TURN:
-            weak = np.concatenate([np.zeros(3), fit.shift / length])[None]
-    return np.asarray(weak * scale)
-
-
 def motion_about(center: FloatArray, fit: Fit) -> RigidTransform:
     """X -> R (X - g) + g + d as a transform."""
     rotation = Rotation.from_matrix(fit.rotation, assume_valid=True)
@@ -199,7 +154,7 @@ def _motion(
         inliers[term.camera] = w > 0
         if (w > 0).any():
             residuals[term.camera] = np.sqrt(np.mean(r[w > 0] ** 2))
-    fit, open_ = _judged(fit, radius)
+    fit, open_ = judged(fit, radius)
     information = fit.information_without_depth if len(open_) else fit.information
     if fit.status is Status.SCALE_NOT_OBSERVABLE:
         for row in open_:

@@ -1,0 +1,140 @@
+"""One robust motion for all terms: the front of the compiled solver."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sylpose.matches import STILL_PX
+from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.compiled import kernel
+from sylpose.numerics.matrices import forget
+from sylpose.results import Status
+from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
+from sylpose.two_frames.robust_fit import robust_fit
+from sylpose.two_frames.terms import Stack, TermData, stack_terms
+from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
+
+__all__ = ["FAR_PX", "fit_terms", "warm_up"]
+
+Hypothesis = tuple[FloatArray, FloatArray]
+
+# Where the moving matches of a camera go further than this, those that stand still are background.
+FAR_PX = 6.0
+# Quadruples that a term's seeds are drawn with, at most.
+QUADRUPLES = 300
+# A solver whose last step was a standard deviation long (this is half its square) had not converged.
+CONVERGED = 0.5
+
+
+def fit_terms(
+    data: Sequence[TermData],
+    center: FloatArray,
+    radius: float,
+    guesses: Sequence[Hypothesis],
+    rng: np.random.Generator,
+) -> Fit:
+    """One robust motion for all terms: per-term RANSAC, minima from several starts, re-weighting.
+
+    Args:
+        data: T terms with at least one match each.
+        center: (3,) g, the object's centre at the motion's start.
+        radius: of the object.
+        guesses: (R, d) tried as starts besides the built-in ones.
+        rng: seeded.
+    """
+    if sum(len(term) for term in data) < MIN_MATCHES:
+        return no_fit(data, Status.TOO_FEW_MATCHES)
+    stack = stack_terms(data, center, radius)
+    n, n_matches = len(stack.focal), len(stack.x)
+    usable = np.ones(n_matches, dtype=bool)
+    _not_background(stack, usable)
+    rotation, shift = np.eye(3), np.zeros(3)
+    weights, across = np.zeros(n_matches), np.zeros(n_matches)
+    sigma_px = np.ones(n)
+    information, without_depth, noise = np.zeros((3, 6, 6))
+    iterations, promise = robust_fit(
+        stack,
+        usable,
+        rng.random((QUADRUPLES, 4)),
+        np.array([r for r, _ in guesses]).reshape(-1, 3, 3),
+        np.array([d for _, d in guesses]).reshape(-1, 3),
+        rotation,
+        shift,
+        weights,
+        across,
+        sigma_px,
+        information,
+        without_depth,
+        noise,
+    )
+    status = Status.OK
+    if not (weights > 0).sum() >= MIN_MATCHES or not is_consistent(stack, usable, weights, rotation, shift, sigma_px):
+        status = Status.NOT_CONSISTENT
+    rod = rod_axis(stack, weights, sigma_px)
+    # About a rod the solver circles: that is no failure.
+    if status is Status.OK and not ((promise < CONVERGED or rod is not None) and np.isfinite(information).all()):
+        status = Status.NOT_CONVERGED
+    if status is not Status.OK:
+        return no_fit(data, status)
+    # σ is estimated: the covariance is that of Student's distribution.
+    freedom = int((weights > 0).sum()) - 6
+    known = max(freedom - 2, 1) / freedom
+    information, without_depth = (known * _without_noise(part, noise) for part in (information, without_depth))
+    if stands_still(stack, weights, across, sigma_px, rotation, shift, information):
+        status, rotation, shift = Status.NO_MOTION, np.eye(3), np.zeros(3)
+    if rod is not None:
+        information, without_depth = forget(information, rod), forget(without_depth, rod)
+    return Fit(
+        status,
+        rotation,
+        shift,
+        tuple(np.split(weights, stack.offsets[1:-1])),
+        tuple(np.split(across, stack.offsets[1:-1])),
+        information,
+        without_depth,
+        int(iterations),
+    )
+
+
+def _without_noise(information: FloatArray, noise: FloatArray) -> FloatArray:
+    """Information (6, 6) less the part that noise alone put there.
+
+    With both as quadratic forms in axes where the information is the identity: (1 - ν)² of each axis is left, the
+    sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A trace always stays.
+    """
+    largest = float(np.diag(information).max())
+    if not largest > 1e-100:
+        return information
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-12 * largest))
+    values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
+    root = np.sqrt(np.maximum(values, 1e-14 * float(values[-1])))
+    to_identity = unit[:, None] * vectors / root
+    spoilt, axes = np.linalg.eigh(to_identity.T @ noise @ to_identity)
+    half = (vectors * root / unit[:, None]) @ axes * np.clip(1.0 - spoilt, 1e-3, 1.0)
+    return np.asarray(half @ half.T)
+
+
+@kernel
+def _not_background(stack: Stack, usable: BoolArray) -> None:
+    """usable (N,): matches that may lie on the object. In a camera that sees it move by far, what stands still does not."""
+    for t in range(stack.focal.shape[0]):
+        first, last = stack.offsets[t], stack.offsets[t + 1]
+        moving, count = np.empty(last - first), 0
+        for i in range(first, last):
+            dx, dy = stack.y[i, 0] - stack.x[i, 0], stack.y[i, 1] - stack.x[i, 1]
+            far = np.sqrt(dx * dx + dy * dy) * stack.focal[t]
+            usable[i] = far > STILL_PX
+            if usable[i]:
+                moving[count] = far
+                count += 1
+        if count == 0 or np.median(moving[:count]) <= FAR_PX:
+            usable[first:last] = True
+
+
+def warm_up() -> None:
+    """Compiles what `fit_terms` runs, or loads it where that has been done: a third of a second, half a minute once."""
+    x = np.random.default_rng(0).uniform(-0.1, 0.1, (12, 2))
+    data = [TermData(k, x, x + 0.01 * k, np.eye(3), np.array([k - 0.5, 0.0, -1.0]), 1000.0) for k in range(2)]
+    fit_terms(data, np.zeros(3), 0.1, [], np.random.default_rng(0))

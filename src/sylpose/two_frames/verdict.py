@@ -1,0 +1,207 @@
+"""What can be said of a motion that was found: more than chance or not, no motion at all, a rod, what of it was not seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.compiled import kernel, rotvec_of
+from sylpose.numerics.matrices import covariance_of
+from sylpose.results import Status
+from sylpose.two_frames.fit import Fit
+from sylpose.two_frames.match_cost import match_equations
+from sylpose.two_frames.reweight import CUTOFF
+from sylpose.two_frames.terms import SURFACE, Stack
+
+__all__ = ["is_consistent", "judged", "observed", "rod_axis", "stands_still", "unseen"]
+
+
+# A direction is "not observable" when its standard deviation exceeds this share of the motion itself.
+UNOBSERVABLE_SHARE = 0.5
+# Chi-square of six unknowns that chance exceeds once in a thousand times: what no motion at all must cost more.
+CERTAIN_MOTION = 22.5
+# Chi-square of three unknowns that chance exceeds once in a thousand times: below it, a turn may be none.
+CERTAIN_TURN = 16.3
+# Points that depart from a line by no more than this, in standard deviations of their noise, lie on it.
+ROD_SIGMAS = 2.5
+# So large a share of inliers is not had by chance.
+CERTAIN_SHARE = 0.7
+# Times that partners are exchanged to measure chance, at most, and with how many matches once or twice will do.
+EXCHANGES, EXCHANGED = 8, 1000
+
+
+def observed(fit: Fit, radius: float) -> Fit:
+    """The fit with its status set to what its information shows: all of it seen, or the scale, or a turn not."""
+    return judged(fit, radius)[0]
+
+
+def judged(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
+    """`observed`, and the directions (k, 6) that its status is about."""
+    if fit.status not in (Status.OK, Status.NOT_CERTIFIED):
+        return fit, np.empty((0, 6))
+    directions = unseen(fit, radius)
+    if len(directions) == 0:
+        return fit, directions
+    turn = np.linalg.norm(radius * directions[:, :3], 2) ** 2 > 0.5
+    return replace(fit, status=Status.TURN_NOT_OBSERVABLE if turn else Status.SCALE_NOT_OBSERVABLE), directions
+
+
+def unseen(fit: Fit, radius: float) -> FloatArray:
+    """The directions (k, 6) of (w, d) that the matches leave open, whatever is believed of the object's distance.
+
+    A turn moves the object's surface by radius times angle, a displacement by its length: in that measure, rows are
+    orthonormal, and a direction is open when its standard deviation exceeds half of the motion itself
+    (`UNOBSERVABLE_SHARE`): even the sign of what it adds is then in doubt. A displacement without a turn has no observable
+    length; a turn that is mere noise must not pretend to one.
+    """
+    scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
+    values, vectors = np.linalg.eigh(fit.information_without_depth * np.outer(scale, scale))
+    turn, length = np.empty(3), float(np.linalg.norm(fit.shift))
+    rotvec_of(fit.rotation, turn)
+    size = np.hypot(radius * np.linalg.norm(turn), length)
+    weak = vectors[:, values * (UNOBSERVABLE_SHARE * size) ** 2 < 1.0].T
+    if len(weak) == 0 and length > radius * np.linalg.norm(turn):
+        of_turn = np.linalg.inv(covariance_of(fit.information)[:3, :3])
+        if turn @ of_turn @ turn < CERTAIN_TURN:
+            weak = np.concatenate([np.zeros(3), fit.shift / length])[None]
+    return np.asarray(weak * scale)
+
+
+def is_consistent(
+    stack: Stack,
+    usable: BoolArray,
+    weights: FloatArray,
+    rotation: FloatArray,
+    shift: FloatArray,
+    sigma_px: FloatArray,
+) -> bool:
+    """Whether more matches agree with the fit than would by chance.
+
+    Chance is measured: with the partners exchanged among a camera's matches, those that still agree do so by chance. The
+    best of many hypotheses finds more of them, hence the factor; six it can always satisfy.
+    """
+    inliers, total = int((weights > 0).sum()), int(usable.sum())
+    if inliers >= CERTAIN_SHARE * total:
+        return True
+    exchanges = min(EXCHANGES, 1 + EXCHANGED // total)
+    by_chance = 0.0
+    distance, across, along, parallax, agree = np.empty((5, len(weights)))
+    no_noise, equations = np.empty((0, 0)), np.empty((6 + SURFACE, 8 + SURFACE))
+    for k in range(1, exchanges + 1):
+        y = stack.y.copy()
+        for first, last in zip(stack.offsets, stack.offsets[1:], strict=False):
+            index = first + np.flatnonzero(usable[first:last])
+            # By far, since neighbours in the list may be neighbours in the image, or the same match again.
+            y[index] = np.roll(y[index], k * max(1, len(index) // (exchanges + 1)), axis=0)
+        mixed = stack._replace(y=y)
+        agree[:] = 0.0
+        for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
+            # What is set aside, and a match that cannot be exchanged with another, tells nothing.
+            if not (weights[first:last] > 0).any() or usable[first:last].sum() <= k:
+                continue
+            variance, relief, surface = (sigma_px[t] / stack.focal[t]) ** 2, stack.relief[t], stack.surface_mean[t]
+            match_equations(
+                mixed,
+                t,
+                usable,
+                rotation,
+                shift,
+                surface,
+                variance,
+                relief,
+                relief,
+                CUTOFF,
+                distance,
+                across,
+                along,
+                parallax,
+                agree,
+                equations,
+                no_noise,
+            )
+        other = usable & (y != stack.y).any(axis=1)
+        by_chance += float((agree[other] > 0.0).sum()) * total / max(int(other.sum()), 1) / exchanges
+    return inliers > 12 + 4.0 * by_chance
+
+
+def stands_still(
+    stack: Stack,
+    weights: FloatArray,
+    across: FloatArray,
+    sigma_px: FloatArray,
+    rotation: FloatArray,
+    shift: FloatArray,
+    information: FloatArray,
+) -> bool:
+    """Whether the motion found may be none: it is no further from none than chance takes it, by its own information
+    (Wald's test), and none explains the inliers about as well.
+
+    The second asks what the first cannot: a turn that the cameras hardly see has little information and moves the
+    matches all the same. Of a match's two coordinates the fit leaves one; the other, along its epipolar line, is counted as
+    if it were all noise.
+    """
+    motion = np.concatenate([np.empty(3), shift])
+    rotvec_of(rotation, motion[:3])
+    if motion @ information @ motion >= CERTAIN_MOTION:
+        return False
+    counts = np.diff(stack.offsets)
+    stood = 0.5 * ((stack.y - stack.x) ** 2).sum(axis=1) * np.repeat(stack.focal / sigma_px, counts) ** 2
+    moved = (across / np.repeat(sigma_px, counts)) ** 2 + 1.0
+    return bool(weights @ (stood - moved) < CERTAIN_MOTION)
+
+
+def rod_axis(stack: Stack, weights: FloatArray, sigma_px: FloatArray) -> FloatArray | None:
+    """(6,) the turn about itself, of points that lie on one line in every camera up to noise; else None.
+
+    Noise across the line, with the surface bent to fit it, would pass for structure that shows this turn.
+    """
+    normals = np.zeros((3, 3))
+    if not _on_lines(stack, weights, sigma_px, normals):
+        return None
+    return np.concatenate([np.linalg.eigh(normals)[1][:, 0], np.zeros(3)])
+
+
+@kernel
+def _on_lines(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: FloatArray) -> bool:
+    """Whether all terms' inliers lie on lines in both images; normals (3, 3) becomes the sum of n n' over the planes through
+    the current cameras and those lines.
+    """
+    lined, inliers = 0, 0
+    for t in range(stack.focal.shape[0]):
+        for frame in range(2):
+            points = stack.y if frame == 1 else stack.x
+            n, mx, my, xx, xy, yy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for i in range(stack.offsets[t], stack.offsets[t + 1]):
+                if weights[i] > 0.0:
+                    n += 1
+                    mx += points[i, 0]
+                    my += points[i, 1]
+            inliers += n
+            # Two points always lie on a line.
+            if n < 3:
+                continue
+            lined += n
+            mx, my = mx / n, my / n
+            for i in range(stack.offsets[t], stack.offsets[t + 1]):
+                if weights[i] > 0.0:
+                    dx, dy = points[i, 0] - mx, points[i, 1] - my
+                    xx += dx * dx / (n - 1)
+                    xy += dx * dy / (n - 1)
+                    yy += dy * dy / (n - 1)
+            # The smaller eigenvalue of the points' covariance.
+            least = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+            if least > (ROD_SIGMAS * sigma_px[t] / stack.focal[t]) ** 2:
+                return False
+            if frame == 1:
+                angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+                a, b = -np.sin(angle), np.cos(angle)
+                normal = np.empty(3)
+                for k in range(3):
+                    normal[k] = a * stack.qy[t, 0, k] + b * stack.qy[t, 1, k] - (a * mx + b * my) * stack.qy[t, 2, k]
+                length = normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2
+                for k in range(3):
+                    for j in range(3):
+                        normals[k, j] += normal[k] * normal[j] / length
+    return lined > inliers // 2
