@@ -199,7 +199,7 @@ def test_pan_tilt_and_roll_are_turns_about_the_cameras_own_axes() -> None:
 
 
 def estimate_of(rotation: FloatArray, information: FloatArray) -> RotationEstimate:
-    return RotationEstimate(Status.OK, rotation, information, 1)
+    return RotationEstimate(Status.TURN_NOT_OBSERVABLE, rotation, information, np.eye(3)[:1], 1)
 
 
 # --- A rotation alone -------------------------------------------------------------------------------------------------
@@ -220,6 +220,7 @@ def test_a_rotation_alone_is_seen_as_that_of_the_motion(seed: int) -> None:
     np.testing.assert_allclose(alone.information, whole.information[:3, :3], atol=1e-9)
     np.testing.assert_allclose(alone.covariance, whole.covariance[:3, :3], atol=1e-9)
     np.testing.assert_allclose(alone.pan_tilt_roll, whole.pan_tilt_roll, atol=1e-9)
+    np.testing.assert_allclose(alone.unseen, camera.rotation.apply(np.eye(3)[:1]), atol=1e-12)
 
 
 def test_without_an_answer_there_is_none_in_any_view() -> None:

@@ -120,12 +120,14 @@ class RotationEstimate:
             NaN without any.
         information: (3, 3) of w, R = exp(w) R̂, world axes, 1/rad². It shows the directions that cannot be observed, and
             knows nothing of a model's bias. Zero without an answer.
+        unseen: (k, 3) unit directions of w that are not seen (docs/conventions.md, "Limits").
         iterations: of the solver; rounds, of those that exchange messages.
     """
 
     status: Status
     rotation: FloatArray
     information: FloatArray
+    unseen: FloatArray
     iterations: int
 
     @property

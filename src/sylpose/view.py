@@ -138,7 +138,14 @@ def view_of_rotation(estimate: RotationEstimate, camera: Viewpoint, *, rig: Rig 
         raise ValueError(f"information must be (3, 3) and finite, got shape {information.shape}")
     pose = camera_from_world_of(camera, rig)
     Q = pose.rotation.as_matrix()
-    return RotationView(estimate.status, Q @ R @ Q.T, Q @ information @ Q.T, estimate.iterations, pose)
+    return RotationView(
+        status=estimate.status,
+        rotation=Q @ R @ Q.T,
+        information=Q @ information @ Q.T,
+        unseen=estimate.unseen @ Q.T,
+        iterations=estimate.iterations,
+        camera_from_world=pose,
+    )
 
 
 def view_of_pose(pose: FramePose, camera: Viewpoint, *, rig: Rig | None = None) -> FramePose:

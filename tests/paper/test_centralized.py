@@ -327,7 +327,7 @@ def test_the_status_says_what_the_answer_is_worth() -> None:
     cameras = general_cameras(rng, 4)
     good = solve_centralized(cameras, moments_of(orthographic(rng, cameras, turn, noise=0.02)), aim=False)
     assert good.status is Status.OK
-    assert status_of(False, True, good.information) is Status.NOT_CONVERGED
+    assert status_of(False, True, good.unseen) is Status.NOT_CONVERGED
     one = cameras[:1]
     mirrored = solve_centralized(one, moments_of(orthographic(rng, one, turn, noise=0.02, n=200)), aim=False)
     assert mirrored.status is Status.NOT_CERTIFIED

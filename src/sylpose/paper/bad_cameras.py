@@ -94,7 +94,7 @@ class RobustSolution(RotationEstimate):
     Attributes:
         status: that of `solution`; but NOT_CONSISTENT where no majority of cameras agrees,
             or it is not certain which one is wrong (`diagnosis.text`): `solution` is then the likeliest.
-        rotation, information, iterations: those of `solution`.
+        rotation, information, unseen, iterations: those of `solution`.
         solution: the centralised estimate with the cameras' weights; None where every camera is junk.
         diagnosis: what is wrong with which camera.
     """
@@ -131,11 +131,12 @@ def solve_robust(
     Q = np.asarray(rotations, dtype=float)
     kept = np.flatnonzero(diagnosis.weights > 0).tolist()
     if len(kept) == 0:
-        return RobustSolution(Status.NOT_CONSISTENT, np.full((3, 3), np.nan), np.zeros((3, 3)), 0, None, diagnosis)
+        nothing = np.full((3, 3), np.nan), np.zeros((3, 3)), np.eye(3)
+        return RobustSolution(Status.NOT_CONSISTENT, *nothing, 0, None, diagnosis)
     weighted = [_weighted(moments[c], float(diagnosis.weights[c])) for c in kept]
     s = solve_centralized(Q[kept], weighted, aim=aim)
     status = s.status if diagnosis.consistent else Status.NOT_CONSISTENT
-    return RobustSolution(status, s.rotation, s.information, s.iterations, s, diagnosis)
+    return RobustSolution(status, s.rotation, s.information, s.unseen, s.iterations, s, diagnosis)
 
 
 def diagnose(

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
-from sylpose.numerics.matrices import transpose
+from sylpose.numerics.unseen import UNSEEN_TURN, unseen_directions
 from sylpose.paper.orthographic import quadratics_of
 from sylpose.paper.so3 import FLAT, cost_of, minimize_batch
 from sylpose.results import RotationEstimate, Status
@@ -42,10 +42,6 @@ __all__ = [
 ]
 
 
-# A turn about an axis is not seen if its standard deviation (radians) exceeds this.
-UNSEEN_TURN = 0.25
-
-
 def unseen_turns(information: FloatArray) -> FloatArray:
     """The unit directions (..., k, 3) of w that are not seen: the standard deviation of the turn exceeds `UNSEEN_TURN`, or
     the cost is as good as flat (information below a millionth of that about the best seen axis).
@@ -53,18 +49,15 @@ def unseen_turns(information: FloatArray) -> FloatArray:
     Args:
         information: (..., 3, 3) of w, 1/rad²; of several, all with the first one's eigenvalues (mirrored solutions).
     """
-    values, vectors = np.linalg.eigh(information)
-    first = values.reshape(-1, 3)[0]
-    k = int((first < max(1 / UNSEEN_TURN**2, FLAT * first[2])).sum())
-    return transpose(vectors[..., :k])
+    return unseen_directions(information, UNSEEN_TURN, flat=FLAT)
 
 
-def status_of(converged: bool, certified: bool, information: FloatArray) -> Status:
-    """What a rotation is worth whose `information` is (3, 3), the same for all estimators that ignore depth: the first of
-    NOT_CONVERGED, TURN_NOT_OBSERVABLE where there are `unseen_turns`, NOT_CERTIFIED, OK that holds."""
+def status_of(converged: bool, certified: bool, unseen: FloatArray) -> Status:
+    """What a rotation is worth, the same for all estimators that ignore depth: the first of NOT_CONVERGED,
+    TURN_NOT_OBSERVABLE where there are `unseen_turns` (k, 3), NOT_CERTIFIED, OK that holds."""
     if not converged:
         return Status.NOT_CONVERGED
-    if len(unseen_turns(information)):
+    if len(unseen):
         return Status.TURN_NOT_OBSERVABLE
     return Status.OK if certified else Status.NOT_CERTIFIED
 
@@ -78,6 +71,7 @@ class CentralizedSolution(RotationEstimate):
         rotation: (3, 3) the first of `candidates`.
         information: (3, 3) the Hessian of the cost on SO(3) over the residuals' variance (weighted mean square per
             coordinate; at least 1e-12 of the points' own).
+        unseen: (k, 3) `unseen_turns`.
         iterations: Newton steps, on the dual and, where that gave no certificate, on SO(3).
         candidates: (k, 3, 3) rotations: the global optimum when `certified`, else all local minima found, best first
             (a single camera's mirrored pair, for instance). Where a direction is not observable they sample a continuum.
@@ -134,10 +128,12 @@ class CentralizedBatch:
 
     def __getitem__(self, n: int) -> CentralizedSolution:
         k, certified, converged = self.counts[n], bool(self.certified[n]), bool(self.converged[n])
+        unseen = unseen_turns(self.information[n])
         return CentralizedSolution(
-            status=status_of(converged, certified, self.information[n]),
+            status=status_of(converged, certified, unseen),
             rotation=self.candidates[n, 0],
             information=self.information[n],
+            unseen=unseen,
             iterations=int(self.iterations[n]),
             candidates=self.candidates[n, :k],
             costs=self.costs[n, :k],

@@ -37,6 +37,7 @@ from scipy.spatial.transform import Rotation
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.matrices import kron, transpose
+from sylpose.numerics.unseen import UNSEEN_SHARE, unseen_directions
 from sylpose.paper.depth_plane_kernels import RELIEF, costs, derivatives
 from sylpose.paper.orthographic import views_of
 from sylpose.results import RotationEstimate, Status
@@ -59,8 +60,8 @@ SETTLED = 1e-10
 NEAR = 1e-3
 # A stranger minimum that is less likely by no more than exp(-this) leaves doubt.
 RIVAL = 4.5
-# A direction is not observable if its standard deviation exceeds this share of the turn, and a degree.
-UNOBSERVABLE_SHARE = 0.5
+# A turn is not observable where it is less certain than half of itself, and than this, in radians: a degree (choice).
+LEAST_LIMIT = float(np.deg2rad(1.0))
 
 _W = slice(0, 3)  # a camera's unknowns: w of R = exp(w) R̂, then its own
 _OWN = 7  # a (2), log s, τ (2), log ζ, log σ
@@ -78,6 +79,8 @@ class DepthPlaneSolution(RotationEstimate):
             camera, or a direction whose standard deviation exceeds half of the turn, and a degree); NOT_CERTIFIED
             (another rotation, beyond this one's uncertainty, is nearly as likely); NOT_CONVERGED.
         information: (3, 3) of w, what each camera believes of its own depth eliminated.
+        unseen: (k, 3) unit directions of w with a standard deviation beyond half of the turn, and a degree; of one camera
+            alone the one that it sees least, whatever it believes of its own depth.
         iterations: steps of all searches together.
         planes: (C, 2) slopes a of the depth in units of the depth at the camera's mean ray, along the x and y axes of the
             camera turned onto that ray. NaN in this and what follows for a camera without three matches.
@@ -147,7 +150,7 @@ def solve_depth_plane(
     """
     problem, used = _problem(rotations, moments, noise, aim)
     own = np.full((len(used), _OWN), np.nan)
-    R, information = np.full((3, 3), np.nan), np.zeros((3, 3))
+    R, information, unseen = np.full((3, 3), np.nan), np.zeros((3, 3)), np.eye(3)
     status, cost, converged, iterations = Status.TOO_FEW_MATCHES, np.nan, False, 0
     if used.any():
         found = _minima(problem)
@@ -156,7 +159,11 @@ def solve_depth_plane(
         R, own[used], cost = found.R[best], found.own[best], float(found.cost[best])
         information = _information(problem, found.R[best : best + 1], found.own[best : best + 1])
         converged, iterations = bool(found.converged[best]), found.iterations
-        status = _status(found, best, information, int(used.sum()))
+        turn = Rotation.from_matrix(R).magnitude()
+        unseen = unseen_directions(information, max(UNSEEN_SHARE * turn, LEAST_LIMIT))
+        if used.sum() < 2 and len(unseen) == 0:
+            unseen = np.linalg.eigh(information)[1][:, :1].T
+        status = _status(found, best, information, unseen)
     return DepthPlaneSolution(
         status=status,
         rotation=R,
@@ -166,6 +173,7 @@ def solve_depth_plane(
         sigma=np.exp(own[:, 6]),
         cost=cost,
         information=information,
+        unseen=unseen,
         converged=converged,
         iterations=iterations,
     )
@@ -228,10 +236,8 @@ def _minima(problem: _Problem) -> _Found:
     return last._replace(iterations=found.iterations + last.iterations)
 
 
-def _status(found: _Found, best: int, information: FloatArray, cameras: int) -> Status:
-    weakest = np.linalg.eigvalsh(information)[0]
-    turn = Rotation.from_matrix(found.R[best]).magnitude()
-    if cameras < 2 or not weakest * max(UNOBSERVABLE_SHARE * turn, np.deg2rad(1)) ** 2 > 1:
+def _status(found: _Found, best: int, information: FloatArray, unseen: FloatArray) -> Status:
+    if len(unseen):
         return Status.TURN_NOT_OBSERVABLE
     if not found.converged[best]:
         return Status.NOT_CONVERGED

@@ -46,7 +46,7 @@ class KnownDepthSolution(RotationEstimate):
         status: OK; NOT_CERTIFIED, the best of all minima found; NOT_CONVERGED; TURN_NOT_OBSERVABLE, something is `unseen`.
         rotation: (3, 3) the first of `candidates`; NaN where no points are spread: then the information is zero, the
             multiplier too.
-        information: (3, 3) as in `CentralizedSolution`.
+        information, unseen: (3, 3) and (k, 3) as in `CentralizedSolution`.
         iterations: of the minimiser; 0 for the closed form.
         candidates: (k, 3, 3) rotations: the global optimum when `certified`, else all local minima found, best first
             (two mirrored ones of a flat object in one camera, for instance); where something is not seen they sample a
@@ -54,7 +54,6 @@ class KnownDepthSolution(RotationEstimate):
         costs: (k,) half the sum of squared residuals of each, in units in which H has the mean eigenvalue 1.
         certified: `rotation` is proved to be the global optimum.
         multiplier: (3, 3) L of Sylvester's equation at `rotation`, in the units of `costs`.
-        unseen: (k, 3) unit directions of w that are not seen (`unseen_turns`).
         center: (3,) weighted mean of all points in frame i, world.
         displacement: (3,) d of the centre, X_j = R (X_i - center) + center + d; of least length where a direction is not
             seen (one camera: along its axis). NaN without a rotation, but for 3D-3D.
@@ -65,7 +64,6 @@ class KnownDepthSolution(RotationEstimate):
     costs: FloatArray
     certified: bool
     multiplier: FloatArray
-    unseen: FloatArray
     center: FloatArray
     displacement: FloatArray
     displacement_information: FloatArray
@@ -138,12 +136,11 @@ def solve_2d3d(
         ):
             certified, candidates = True, candidates[:1]
     costs = q.cost(candidates) / scale
-    information = best.information
-    unseen = unseen_turns(information)
-    status = status_of(converged, certified, information)
+    unseen = unseen_turns(best.information)
+    status = status_of(converged, certified, unseen)
     d, of_d = _displacement(PQ, o, sets, R, center, float(q.variance(best.cost)))
     return KnownDepthSolution(
-        status, R, information, iterations, candidates, costs, certified, L, unseen, center, d, of_d
+        status, R, best.information, unseen, iterations, candidates, costs, certified, L, center, d, of_d
     )
 
 
@@ -181,7 +178,7 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
     information = hessian * scale / variance
     unseen = unseen_turns(information)
     return KnownDepthSolution(
-        status=status_of(True, True, information),
+        status=status_of(True, True, unseen),
         rotation=R,
         candidates=R[None],
         costs=np.array([cost]),

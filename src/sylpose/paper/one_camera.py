@@ -87,7 +87,7 @@ class OneCameraSolution:
     def nearest(self, guess: FloatArray) -> RotationEstimate:
         """Of the two that which is nearer to a guess (3, 3): the camera itself cannot tell."""
         k = int(np.argmin(np.linalg.norm(self.rotations - guess, axis=(1, 2))))
-        return RotationEstimate(self.status, self.rotations[k], self.information[k], self.iterations)
+        return RotationEstimate(self.status, self.rotations[k], self.information[k], self.unseen[k], self.iterations)
 
 
 def solve_one_camera(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> OneCameraSolution:
@@ -269,7 +269,7 @@ def _solution(views: Views, axes: FloatArray, block: _Block) -> OneCameraSolutio
     cost, _, _, information = q.at(rotations)
     unseen = unseen_turns(information)
     return OneCameraSolution(
-        status=status_of(True, block.proved, information[0]),
+        status=status_of(True, block.proved, unseen[0]),
         rotations=rotations,
         N=N,
         m=m,

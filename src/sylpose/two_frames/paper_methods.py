@@ -16,7 +16,7 @@ import numpy as np
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.bad_cameras import diagnose
-from sylpose.paper.centralized import UNSEEN_TURN, solve_centralized
+from sylpose.paper.centralized import solve_centralized
 from sylpose.paper.depth_plane import solve_depth_plane
 from sylpose.paper.displacement import translation_from_means, translation_from_moments
 from sylpose.paper.distributed.simulated import solve_exchange, solve_gossip, solve_refine
@@ -126,7 +126,5 @@ def _seen(turn: RotationEstimate) -> FloatArray:
     values, vectors = np.linalg.eigh(turn.information)
     # Off an optimum (the unconstrained estimate) a Hessian may be negative.
     values = np.maximum(values, 0.0)
-    if turn.status is Status.TURN_NOT_OBSERVABLE:
-        values[0] = 0.0
-        values[values < 1 / UNSEEN_TURN**2] = 0.0
-    return np.asarray((vectors * values) @ vectors.T)
+    seen = np.eye(3) - turn.unseen.T @ turn.unseen
+    return np.asarray(seen @ (vectors * values) @ vectors.T @ seen)

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.matrices import checked_rotations, kron
-from sylpose.paper.centralized import status_of
+from sylpose.paper.centralized import status_of, unseen_turns
 from sylpose.paper.distributed.exchange import exchange_start, exchange_step
 from sylpose.paper.distributed.gossip import gossip_start, gossip_step
 from sylpose.paper.distributed.messages import HEADER, Inbox, Packet
@@ -100,7 +100,7 @@ class Agreement(RotationEstimate):
             centralised estimator: TURN_NOT_OBSERVABLE, NOT_CERTIFIED or OK.
         rotation: (3, 3) the one they agree on, X_j = R X_i + t in the world frame: the first such camera's. NaN if none
             converged.
-        information: (3, 3) as in `CentralizedSolution`, as that camera found it.
+        information, unseen: (3, 3) and (k, 3) as in `CentralizedSolution`, as that camera found it.
         iterations: rounds until the last camera was done.
         certified: the multiplier proves `rotation` the global optimum for the cameras in `used`. Checked from outside,
             with everybody's moments: in `refine` no camera could.
@@ -271,11 +271,13 @@ def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome
         rotation, information = good[0].rotation, good[0].information
         spread = max(float(Rotation.from_matrix(rotation.T @ other).magnitude()) for other in answers)
         certified = _certified(Q[list(used)], [moments[c] for c in used], aim, rotation)
+    unseen = unseen_turns(information)
     agreed = len(good) == len(judged) > 0 and spread < AGREED
     return Agreement(
-        status=status_of(agreed, certified, information),
+        status=status_of(agreed, certified, unseen),
         rotation=rotation,
         information=information,
+        unseen=unseen,
         iterations=outcome.rounds,
         certified=certified,
         rotations=np.array([np.full((3, 3), np.nan) if r is None else r for r in found]),
