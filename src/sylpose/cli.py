@@ -11,7 +11,7 @@ from typing import Annotated, NoReturn, ParamSpec
 import typer
 
 from sylpose import __version__
-from sylpose.methods import FEATURES, METHODS
+from sylpose.methods import FEATURES, METHODS, features_of, summary
 
 # Everything else is imported where it is used: the tracker and matplotlib take a second each, which `--help` does not need.
 
@@ -135,7 +135,8 @@ def _one_of(choices: Sequence[str]) -> Callable[[str], str]:
 
 
 @app.command(
-    epilog=examples(
+    epilog=f"\b\n{summary()}\n\n"
+    + examples(
         "sylpose track recording",
         "sylpose track recording --boxes first_frame.toml --out results",
         "sylpose track recording --start 100 --stop 400 --every 2 --offset cam_2=5",
@@ -156,13 +157,14 @@ def track(
         ),
     ] = None,
     method: Annotated[
-        str, typer.Option(metavar="|".join(METHODS), help="How the motion is estimated.", callback=_one_of(METHODS))
+        str,
+        typer.Option(metavar="|".join(METHODS), help="How it is estimated; see below.", callback=_one_of(METHODS)),
     ] = METHODS[0],
     features: Annotated[
         str,
         typer.Option(
             metavar="|".join(FEATURES),
-            help="SIFT in every frame, or KLT between SIFT keyframes: faster and finer; auto: KLT for the method landmarks.",
+            help="SIFT in every frame, or KLT between SIFT keyframes: faster and finer; auto: KLT for landmarks, else SIFT.",
             callback=_one_of(FEATURES),
         ),
     ] = FEATURES[0],
@@ -201,6 +203,7 @@ def track(
     from sylpose.app.run import has_ended, output_path
     from sylpose.sync.offsets import find_offsets
 
+    features_of(method, features)
     opened = open_asked(
         session, calibration, boxes, masks, offset, resume=resume, follow=follow, lossless=lossless, rate=rate
     )

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import MAX_FEATURES, Features, detect, seen_before
 from sylpose.frames import Box, FrameSet
-from sylpose.methods import FEATURES, METHODS
+from sylpose.methods import FEATURES, METHODS, features_of
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.matrices import covariance_of
 from sylpose.results import Status
@@ -101,8 +101,8 @@ class Tracker:
             (epipolar geometry against several references), one of the paper's estimators frame to frame (as in
             `estimate_motion`), or "known-depth" (Sylvester's equation for landmarks whose depth is known by now).
         features: "sift" (SIFT in every frame, as in the paper), "klt" (followed from image to image, SIFT only where that
-            does not suffice: several times faster, and more precise) or "auto": "klt" for the method "landmarks", else
-            "sift".
+            does not suffice: several times faster, and more precise; not for the paper's estimators, which want the
+            matches with the frame before) or "auto": "klt" for the method "landmarks", else "sift".
         offsets: by camera, seconds by which its images are later than its time stamps say.
         workers: threads for detection and matching; None: one per core, at most one per camera.
         seed: of the outlier rejection. The same input and seed give the same output, whatever the number of threads.
@@ -122,14 +122,7 @@ class Tracker:
         workers: int | None = None,
         seed: int = 0,
     ) -> None:
-        if method not in METHODS:
-            raise ValueError(f"method: {method!r} is not one of {', '.join(METHODS)}")
-        if method == "sylvester" and features == "klt":
-            raise ValueError(
-                "features: 'klt' follows features over several frames, which the method 'sylvester' has no use for"
-            )
-        if features not in FEATURES:
-            raise ValueError(f"features: {features!r} is not one of {', '.join(FEATURES)}")
+        follows = features_of(method, features) == "klt"
         for name in offsets or {}:
             if name not in rig.names:
                 raise ValueError(f"offsets: no camera {name!r} in the rig ({', '.join(rig.names)})")
@@ -137,7 +130,7 @@ class Tracker:
         self._solve = SOLVERS[method]
         self._seed = seed
         self._offsets = dict(offsets or {})
-        self._follows = features == "klt" or (features == "auto" and method == "landmarks")
+        self._follows = follows
         self._anchor: Anchor | None = None  # whose features are followed
         self._keyframes: list[Reference] = []
         self._last: Reference  # the last solved frame, from the first one on
