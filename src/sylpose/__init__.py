@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from sylpose.two_frames.motion import estimate_motion, estimate_motions
     from sylpose.view import trajectory_view, view_of_motion
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Box",
