@@ -6,6 +6,15 @@
     for frame in track(session.frames(), session.rig, session.boxes):
         print(frame.pose.time, frame.pose.status.text, frame.pose.world_from_object)
 
+The files at the root are the nouns: a rig of cameras, the frames they saw, matches, their moments, results. Each folder is
+one thing that can be done with them. `paper` is Chen and Schonfeld: a rotation from orthographic second moments by
+Sylvester's equation, by one camera, by all, or `distributed` among them. `two_frames` is the same question in perspective,
+with six unknowns and outliers. `known_model` asks where an object of known points is. `features` finds and follows points.
+`landmarks` knows where they are on the object, better from frame to frame. `tracking` puts these together frame by frame,
+`smoothing` does all frames at once, afterwards. None of these reads or writes a file: `calibration`, `capture`, `report` do.
+`simulate` makes scenes with known truth, `experiments` repeats the paper's, `app` and `cli` are the commands. docs/map.md
+has the whole tree.
+
 The names below are loaded when they are first used, so that `import sylpose` itself takes no time.
 """
 
@@ -40,7 +49,7 @@ if TYPE_CHECKING:
     from sylpose.two_frames.motion import estimate_motion, estimate_motions
     from sylpose.view import MotionView, RotationView, trajectory_view, view_of_motion, view_of_pose, view_of_rotation
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Agreement",

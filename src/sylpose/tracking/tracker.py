@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 
 from sylpose.frames import Box, FrameSet
-from sylpose.methods import FEATURES, METHODS
+from sylpose.methods import FEATURES, METHODS, features_of
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
@@ -64,8 +64,8 @@ class Tracker:
             (epipolar geometry against several references), one of the paper's estimators frame to frame (as in
             `estimate_motion`), or "known-depth" (Sylvester's equation for landmarks whose depth is known by now).
         features: "sift" (SIFT in every frame, as in the paper), "klt" (followed from image to image, SIFT only where that
-            does not suffice: several times faster, and more precise) or "auto": "klt" for the method "landmarks", else
-            "sift".
+            does not suffice: several times faster, and more precise; not for the paper's estimators, which want the
+            matches with the frame before) or "auto": "klt" for the method "landmarks", else "sift".
         offsets: by camera, seconds by which its images are later than its time stamps say.
         workers: threads for detection and matching; None: one per core, at most one per camera.
         seed: of the outlier rejection. The same input and seed give the same output, whatever the number of threads.
@@ -85,21 +85,13 @@ class Tracker:
         workers: int | None = None,
         seed: int = 0,
     ) -> None:
-        if method not in METHODS:
-            raise ValueError(f"method: {method!r} is not one of {', '.join(METHODS)}")
-        if method == "sylvester" and features == "klt":
-            raise ValueError(
-                "features: 'klt' follows features over several frames, which the method 'sylvester' has no use for"
-            )
-        if features not in FEATURES:
-            raise ValueError(f"features: {features!r} is not one of {', '.join(FEATURES)}")
+        follows = features_of(method, features) == "klt"
         for name in offsets or {}:
             if name not in rig.names:
                 raise ValueError(f"offsets: no camera {name!r} in the rig ({', '.join(rig.names)})")
         crew = OneProcess(len(rig), workers or min(len(rig), os.cpu_count() or 1))
         parts = [CameraPart(c, camera) for c, camera in enumerate(rig)]
         late = np.array([(offsets or {}).get(name, 0.0) for name in rig.names])
-        follows = features == "klt" or (features == "auto" and method == "landmarks")
         self._crew = crew
         self._team = Team(rig, parts, crew, SOLVERS[method], follows, late, seed)
         self._joint = Joint(ObjectModel.in_boxes(rig, boxes) if boxes else ObjectModel())
