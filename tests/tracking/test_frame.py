@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.features.sift import Features
+from sylpose.landmarks.table import LandmarkTable
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import ellipsoid, ring
@@ -61,7 +62,7 @@ def seen(rig: Rig, number: int, features: Sequence[Features], pose: RigidTransfo
     sees = np.array([len(f) > 0 for f in features])
     covariance, late = np.zeros((6, 6)), np.zeros(len(rig))
     frame = SolvedFrame(number, number / 30, late, pose, covariance, viewpoints(rig, pose), sees)
-    return Seen(frame, [CameraFrame(f, np.zeros(len(f), bool)) for f in features])
+    return Seen(frame, [CameraFrame(f, np.zeros(len(f), bool), LandmarkTable()) for f in features])
 
 
 def frame(rig: Rig, number: int, pose: RigidTransform) -> Seen:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.features.sift import Features, detect
 from sylpose.landmarks.places import Landmarks, new_landmarks
+from sylpose.landmarks.table import LandmarkTable
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, chamfered_box, demo_scene
 from sylpose.tracking.frame import CameraFrame, SolvedFrame
@@ -79,8 +80,14 @@ def keyframe(clip: Clip, k: int, sd: float = 0.02 * RADIUS) -> Keyframe:
         distance = np.linalg.norm(places[on_it] - pose.inv().apply(camera.center), axis=1)
         kept.append(features.subset(on_it))
         landmarks.append(new_landmarks(kept[-1], camera, pose.inv(), distance, np.full(len(distance), sd)))
-    cameras = [CameraFrame(f, np.zeros(len(f), bool), m) for f, m in zip(kept, landmarks, strict=True)]
+    cameras = [known(f, m) for f, m in zip(kept, landmarks, strict=True)]
     return solved(clip.rig, k, pose, cameras)
+
+
+def known(features: Features, landmarks: Landmarks) -> CameraFrame:
+    """Of a camera that knows nothing else."""
+    table = LandmarkTable()
+    return CameraFrame(features, np.zeros(len(features), bool), table, table.learn(landmarks))
 
 
 def solved(rig: Rig, number: int, pose: RigidTransform, cameras: list[CameraFrame]) -> Keyframe:
@@ -94,7 +101,7 @@ def seen(rig: Rig, images: Images) -> list[CameraFrame]:
     features = [
         Features.none() if image is None else detect(image, camera) for camera, image in zip(rig, images, strict=True)
     ]
-    return [CameraFrame(f, np.zeros(len(f), bool)) for f in features]
+    return [CameraFrame(f, np.zeros(len(f), bool), LandmarkTable()) for f in features]
 
 
 def errors(found: RigidTransform | None, true: RigidTransform) -> tuple[float, float]:
@@ -186,7 +193,7 @@ def test_of_many_keyframes_all_are_tried_in_turn(clip: Clip, keyframes: list[Key
     for i in range(n):
         pose = RigidTransform.from_rotation(Rotation.from_rotvec([0, np.radians(0.1 * i), 0]))
         one = [
-            CameraFrame(m.features.subset(np.arange(1)), np.zeros(1, bool), m.landmarks.subset(np.arange(1)))
+            replace(m, features=m.features.subset(np.arange(1)), background=np.zeros(1, bool), numbers=m.numbers[:1])
             for m in keyframes[0].cameras
         ]
         kept.append(solved(rig, i, pose, one))

@@ -81,7 +81,7 @@ class Node:
     def __init__(self, camera: int, cameras: int, wire: Wire) -> None:
         self._camera, self._cameras, self._wire = camera, cameras, wire
 
-    def each(self, do: Callable[[int], T]) -> list[T]:
+    def each(self, do: Callable[[int], T], *, long: bool = False) -> list[T]:  # noqa: ARG002
         mine = do(self._camera)
         return [mine if c == self._camera else cast(T, None) for c in range(self._cameras)]
 

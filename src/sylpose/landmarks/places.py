@@ -8,7 +8,7 @@ places are fused by adding information, whatever the order (docs/method.md, "Bet
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -37,7 +37,7 @@ class Landmarks:
         information: (n, 3, 3), the inverse covariances.
         seen: (n,) in how many frames each was seen.
         moved: (n,) whether it was ever seen to move with the object. What never was may be background.
-        id: (n,) the landmark's number; the same feature seen again in another frame keeps it.
+        id: (n,) the number (`LandmarkTable`); the same feature seen again in another frame keeps it. -1: none yet.
     """
 
     mean: FloatArray
@@ -78,11 +78,6 @@ class Landmarks:
         """(n,) standard deviation in that direction."""
         return np.asarray(1.0 / np.sqrt(np.maximum(np.linalg.eigvalsh(self.information)[:, 0], 1e-30)))
 
-    def update(self, index: IntArray, known: Landmarks) -> None:
-        """Replaces those at `index` (k,) by other ones (k)."""
-        for part in fields(Landmarks):
-            getattr(self, part.name)[index] = getattr(known, part.name)
-
     def subset(self, index: IntArray | BoolArray) -> Landmarks:
         """Those that a mask or an index array picks."""
         return Landmarks(self.mean[index], self.information[index], self.seen[index], self.moved[index], self.id[index])
@@ -102,7 +97,6 @@ def new_landmarks(
     object_from_world: RigidTransform,
     distance: FloatArray,
     sd: FloatArray,
-    first_id: int = 0,
 ) -> Landmarks:
     """Features seen for the first time: on their rays, at a distance (n,) from the camera give or take sd (n,)."""
     center, directions = rays(features, camera, object_from_world)
@@ -110,8 +104,8 @@ def new_landmarks(
     along = directions[:, :, None] * directions[:, None, :]
     across = (camera.focal / (RAY_SIGMA_PX * distance)) ** 2
     information = across[:, None, None] * (np.eye(3) - along) + along / (sd**2)[:, None, None]
-    ids = first_id + np.arange(len(mean))
-    return Landmarks(mean, information, np.ones(len(mean), np.int64), np.zeros(len(mean), bool), ids)
+    n = len(mean)
+    return Landmarks(mean, information, np.ones(n, np.int64), np.zeros(n, bool), np.full(n, -1, np.int64))
 
 
 def seen_again(known: Landmarks, features: Features, camera: Camera, object_from_world: RigidTransform) -> Landmarks:
@@ -173,10 +167,8 @@ def learn_landmarks(
     cloud: FloatArray,
     radius: float,
     bulge: float = 0.0,
-    first_id: int = 0,
 ) -> Landmarks:
-    """The landmarks of a solved frame's features: known ones (k) seen again at `index` (k,), the others new, with the
-    numbers `first_id` and following.
+    """The landmarks of a solved frame's features: known ones (k) seen again at `index` (k,), the others new.
 
     Args: see `depth_prior`.
     """
@@ -184,7 +176,7 @@ def learn_landmarks(
     unknown = np.setdiff1d(np.arange(len(features)), index)
     young = features.subset(unknown)
     distance, sd = depth_prior(young, camera, world_from_object, cloud, radius, bulge)
-    new = new_landmarks(young, camera, object_from_world, distance, sd, first_id)
+    new = new_landmarks(young, camera, object_from_world, distance, sd)
     old = seen_again(known, features.subset(index), camera, object_from_world)
     order = np.argsort(np.concatenate([index, unknown]))
     return Landmarks.concatenate([old, new]).subset(order)

@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features, detect, seen_before
 from sylpose.landmarks.places import Landmarks, learn_landmarks
+from sylpose.landmarks.table import LandmarkTable
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.rig import Camera
 from sylpose.tracking.anchor import CameraAnchor, Followed, begin_anchor, follow, gone_on
@@ -73,6 +74,7 @@ class CameraPart:
     Attributes:
         index: in the rig.
         camera: its calibration.
+        table: its landmarks.
         frames: what it has of solved frames, by number: the keyframes, the last one and the anchor.
         anchor: its side of the frame whose features are followed, if any.
         surroundings: the first frame's features outside the object's region: what is later seen at the same place is
@@ -84,7 +86,7 @@ class CameraPart:
         self.frames: dict[int, CameraFrame] = {}
         self.anchor: CameraAnchor | None = None
         self.surroundings = Features.none()
-        self._n_landmarks = 0
+        self.table = LandmarkTable()
 
     # --- seeing: nothing of it is remembered -------------------------------------------------------------------------
 
@@ -103,7 +105,7 @@ class CameraPart:
 
     def frame(self, features: Features) -> CameraFrame:
         """A frame to be solved; what the first frame has at the same place around the object is background."""
-        return CameraFrame(features, self.known_background(features))
+        return CameraFrame(features, self.known_background(features), self.table)
 
     def known_background(self, features: Features) -> BoolArray:
         """(n,) features that the first frame had at the same place, outside the object's region."""
@@ -160,17 +162,14 @@ class CameraPart:
             bulge: see `depth_prior`.
         """
         surface = seen.surface if len(seen.surface) >= MIN_SURFACE else cloud
-        features = current.features
-        learnt = learn_landmarks(
-            features, seen_from, world_from_object, seen.known, seen.index, surface, radius, bulge, self._n_landmarks
+        current.numbers = self.table.learn(
+            learn_landmarks(
+                current.features, seen_from, world_from_object, seen.known, seen.index, surface, radius, bulge
+            )
         )
-        self._n_landmarks += len(features)
-        if len(current.landmarks):  # they are learnt anew, and stay themselves
-            learnt.id[:] = current.landmarks.id
-        current.landmarks = learnt
-        # The same landmarks as the earlier frames know them: they are matched again, and should know what is known by then.
+        # What the earlier frames took for other landmarks is one.
         for pair in seen.inliers:
-            pair.earlier.landmarks.update(pair.indices[:, 0], learnt.subset(pair.indices[:, 1]))
+            pair.earlier.numbers[pair.indices[:, 0]] = current.numbers[pair.indices[:, 1]]
 
     def relearnt(
         self, number: int, seen_from: Camera, world_from_object: RigidTransform, cloud: FloatArray, radius: float
@@ -178,7 +177,7 @@ class CameraPart:
         """A frame's landmarks as if none of them had been seen elsewhere. See `learn`."""
         frame, none = self.frames[number], SeenAgain.none()
         new = learn_landmarks(frame.features, seen_from, world_from_object, none.known, none.index, cloud, radius)
-        return replace(new, id=frame.landmarks.id)
+        return replace(new, id=frame.numbers)
 
     def begin(self, number: int, first: CameraFrame, surroundings: Features) -> None:
         """The first solved frame; the features around the object in it."""
@@ -189,6 +188,7 @@ class CameraPart:
         """A solved frame; of those with other numbers than these nothing is kept."""
         self.frames[number] = current
         self.frames = {k: frame for k, frame in self.frames.items() if k in numbers}
+        self.table.keep(np.concatenate([frame.numbers for frame in self.frames.values()]))
 
     def anchor_at(self, number: int, image: Image | None, before: Followed | None) -> None:
         """A solved frame becomes the anchor. See `anchor.begin_anchor`."""
@@ -201,3 +201,4 @@ class CameraPart:
     def forget(self) -> None:
         """Everything: the object is looked for anew."""
         self.frames, self.anchor, self.surroundings = {}, None, Features.none()
+        self.table = LandmarkTable()

@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.landmarks.places import Landmarks
+from sylpose.landmarks.table import LandmarkTable
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import covariance_of
 from sylpose.results import Status
@@ -94,7 +95,7 @@ class Team:
             where = None if regions is None else polygon_mask(regions[c], camera.size)
             return self.parts[c].detect(frames.images[c], frames.masks[c], where, most)
 
-        return self.crew.each(of)
+        return self.crew.each(of, long=True)
 
     def surroundings(self, frames: FrameSet, regions: Sequence[Region]) -> list[Features]:
         """By camera, each its own: the features outside the object's regions."""
@@ -103,7 +104,7 @@ class Team:
             around = ~polygon_mask(regions[c], self.rig.cameras[c].size)
             return self.parts[c].detect(frames.images[c], frames.masks[c], around, MAX_FEATURES)
 
-        return self.crew.each(of)
+        return self.crew.each(of, long=True)
 
     def frame(self, number: int, frames: FrameSet, features: Sequence[Features]) -> Frame:
         """A frame to be solved, of each camera's own features."""
@@ -175,7 +176,9 @@ def followed_from_anchor(
     they suffice to do without others."""
     assert joint.anchor is not None
     last, radius = joint.base.world_from_object, joint.object.radius
-    followed = team.crew.each(lambda c: team.parts[c].follow(last, ahead, frames.images[c], frames.masks[c], radius))
+    followed = team.crew.each(
+        lambda c: team.parts[c].follow(last, ahead, frames.images[c], frames.masks[c], radius), long=True
+    )
     reports = team.crew.ask(lambda c: followed[c].report(regions[c]))
     return followed, sum(report.found for report in reports), suffices(reports, joint.anchor, ahead)
 
@@ -215,7 +218,7 @@ def matched(
             pairs += team.parts[c].match(frame.cameras[c], [reference.number for reference in references])
         return pairs
 
-    return team.crew.each(of)
+    return team.crew.each(of, long=anew)
 
 
 def solved_from(
@@ -273,9 +276,11 @@ def _with_first(
 ) -> list[list[Pair]]:
     """The pairs, with other landmarks of the first frame."""
 
+    tables = crew.each(lambda c: LandmarkTable.holding(landmarks[c]))
+
     def of(c: int) -> list[Pair]:
         return [
-            replace(pair, earlier=replace(pair.earlier, landmarks=landmarks[c])) if pair.reference == number else pair
+            replace(pair, earlier=replace(pair.earlier, table=tables[c])) if pair.reference == number else pair
             for pair in pairs[c]
         ]
 
@@ -310,7 +315,7 @@ def recognised_anywhere(team: Team, joint: Joint, frame: Frame) -> RigidTransfor
         tried = to_try(joint.keyframes, c, joint.base, joint.missed)
         return recognised([part.frames[k.number] for k in tried], frame.cameras[c], joint.object.radius)
 
-    found = team.crew.each(of)
+    found = team.crew.each(of, long=True)
     return pose_of(team.rig, team.crew.ask(lambda c: found[c]))
 
 

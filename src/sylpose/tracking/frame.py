@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features, match_features
 from sylpose.landmarks.places import Landmarks
+from sylpose.landmarks.table import LandmarkTable
 from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.rig import Camera
@@ -40,12 +41,18 @@ class CameraFrame:
     Attributes:
         features: of its image.
         background: (n,) which of them were found to stand still where the object moved; filled in as they are matched.
-        landmarks: of the features, once the frame is solved.
+        table: the camera's landmarks; numbers: (n,) of the features in it, once the frame is solved.
     """
 
     features: Features
     background: BoolArray
-    landmarks: Landmarks = field(default_factory=Landmarks.none)
+    table: LandmarkTable
+    numbers: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+
+    @property
+    def landmarks(self) -> Landmarks:
+        """(n) of the features, as they are known by now."""
+        return self.table.of(self.numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +137,8 @@ class Pair:
 
     @property
     def landmarks(self) -> Landmarks:
-        """(n) of the matches, as the earlier frame has them."""
-        return self.earlier.landmarks.subset(self.indices[:, 0])
+        """(n) of the matches, by the earlier frame."""
+        return self.earlier.table.of(self.earlier.numbers[self.indices[:, 0]])
 
     def term(self, index: int, camera: Camera, moved: RigidTransform | None = None) -> TermData:
         """The matches as a term of a motion.

@@ -94,7 +94,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
 
     def seen_again(c: int) -> SeenAgain:
         if found.first is not None:
-            parts[c].frames[base.number].landmarks = found.first[c]
+            parts[c].table.learn(found.first[c])
         if found.anew:
             parts[c].learn_background(found.pairs[c], frame.cameras[c], pose, known, radius)
         return SeenAgain.of(inliers_of(found.pairs[c], [w for w, _ in solution.agreement[c]]), radius)
@@ -123,7 +123,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         before = None if followed is None else followed.before
         return shown(seen[c].inliers, current, base.number, before), sightings(seen[c].inliers, current)
 
-    learnt = crew.each(learn)
+    learnt = crew.each(learn, long=found.anew)
     result = FramePose(
         frames.index,
         frames.time,
@@ -176,9 +176,7 @@ def with_surface(team: Team, joint: Joint, pairs: Sequence[Sequence[Pair]]) -> J
     def learn(c: int) -> None:
         part, camera = team.parts[c], team.rig.cameras[c]
         for solved in {k.number: k for k in (*joint.keyframes, joint.base)}.values():
-            part.frames[solved.number].landmarks = part.relearnt(
-                solved.number, camera, solved.world_from_object, points, found.radius
-            )
+            part.table.learn(part.relearnt(solved.number, camera, solved.world_from_object, points, found.radius))
 
     crew.each(learn)
     return joint

@@ -196,7 +196,7 @@ def _matched_with_first(team: Team, first: Frame, current: Frame) -> list[list[P
         pair = match_pair(first.number, first.cameras[c], current.cameras[c])
         return [pair] if len(pair) else []
 
-    return team.crew.each(of)
+    return team.crew.each(of, long=True)
 
 
 def _begun(

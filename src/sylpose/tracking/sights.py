@@ -56,7 +56,7 @@ def sights_of(
 
 def ages_of(sights: Sights, moving: BoolArray, pairs: Sequence[Pair]) -> Ages:
     """In how many frames the landmarks were seen, of `sights_of`."""
-    oldest = max((int(pair.earlier.landmarks.seen.max()) for pair in pairs), default=0)
+    oldest = max((int(pair.earlier.landmarks.seen.max(initial=0)) for pair in pairs), default=0)
     return Ages.of(sights.trust, int(moving.sum()), oldest)
 
 

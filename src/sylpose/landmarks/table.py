@@ -1,0 +1,79 @@
+"""The landmarks of one camera in one table, by number. Frames keep numbers, so what a sight teaches all of them know."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sylpose.landmarks.places import Landmarks
+from sylpose.numerics.arrays import IntArray
+
+__all__ = ["LandmarkTable"]
+
+# Rows that a table has room for at first; when they are full, twice as many.
+ROOM = 1024
+
+
+class LandmarkTable:
+    """A growing table. A number is given once; where landmarks were forgotten, numbers are missing."""
+
+    def __init__(self) -> None:
+        self._rows = _empty(ROOM)  # in the order of their numbers; the first `_used` of them count
+        self._used = self._next = 0
+
+    @classmethod
+    def holding(cls, landmarks: Landmarks) -> LandmarkTable:
+        """A table of some landmarks alone, under the numbers that they have."""
+        table = cls()
+        table._rows = landmarks.subset(np.unique(landmarks.id, return_index=True)[1])
+        table._used, table._next = len(table._rows), int(landmarks.id.max(initial=-1)) + 1
+        return table
+
+    def __len__(self) -> int:
+        return self._used
+
+    def of(self, numbers: IntArray) -> Landmarks:
+        """Those with the numbers (n,)."""
+        return self._rows.subset(self._at(numbers))
+
+    def learn(self, landmarks: Landmarks) -> IntArray:
+        """Takes in what is known of landmarks (n) by now: of those that have a number instead of what was known before, the
+        others are new. Where several have the same number, the last counts.
+
+        Returns:
+            their numbers (n,).
+        """
+        numbers, new = landmarks.id.copy(), landmarks.id < 0
+        numbers[new] = self._next + np.arange(new.sum())
+        old = landmarks.subset(~new)
+        _write(self._rows, self._at(old.id), old)
+        first, self._used, self._next = self._used, self._used + int(new.sum()), self._next + int(new.sum())
+        if self._used > len(self._rows):
+            self._rows = Landmarks.concatenate([self._rows.subset(np.arange(first)), _empty(2 * self._used - first)])
+        rows = np.arange(first, self._used)
+        _write(self._rows, rows, landmarks.subset(new))
+        self._rows.id[rows] = numbers[new]
+        return numbers
+
+    def keep(self, numbers: IntArray) -> None:
+        """Forgets all but those with some numbers, once they are less than half of all."""
+        used = np.unique(numbers)
+        if 2 * len(used) < self._used:
+            self._rows, self._used = self._rows.subset(self._at(used)), len(used)
+
+    def _at(self, numbers: IntArray) -> IntArray:
+        """(n,) the rows of numbers (n,) that are there."""
+        rows = np.searchsorted(self._rows.id[: self._used], numbers)
+        assert np.array_equal(self._rows.id[rows], numbers)
+        return np.asarray(rows)
+
+
+def _empty(n: int) -> Landmarks:
+    return Landmarks(
+        np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n, np.int64), np.empty(n, bool), np.full(n, -1, np.int64)
+    )
+
+
+def _write(rows: Landmarks, at: IntArray, landmarks: Landmarks) -> None:
+    """Everything but the numbers."""
+    rows.mean[at], rows.information[at] = landmarks.mean, landmarks.information
+    rows.seen[at], rows.moved[at] = landmarks.seen, landmarks.moved
