@@ -39,26 +39,34 @@ from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.matrices import kron, transpose
 from sylpose.numerics.unseen import UNSEEN_SHARE, unseen_directions
 from sylpose.paper.depth_plane_kernels import RELIEF, costs, derivatives
-from sylpose.paper.orthographic import views_of
+from sylpose.paper.orthographic import ROUNDING, views_of
 from sylpose.results import RotationEstimate, Status
 
 __all__ = ["DepthPlaneSolution", "solve_depth_plane"]
 
 
-# Less noise than this share of the spread would leave nothing but rounding to fit.
+# Less noise than this share of the spread would leave nothing but rounding to fit: far below that of any image (choice).
 LEAST_NOISE = 1e-4
-# Noise to start from, as a share of the spread: much smooths the cost, so that few minima are left; little finds others.
+# Noise to start from, as a share of the spread: much smooths the cost, so that few minima are left; little finds others
+# (measured: docs/benchmarks.md#the-depth-plane, OK and not).
 MUCH_NOISE, LITTLE_NOISE = 0.2, 0.02
-# A camera has a place, a plane and a scale of its own: matches that they use up, at two coordinates each.
+# A camera has a place, a plane and a scale of its own: matches that these five numbers use up (derived: two
+# coordinates each).
 USED_UP = 2.5
+# As many are left something to say (derived).
 MIN_MATCHES = 3
 
+# Searches that end well take 13 to 30; more are stragglers of those that start mirrored (choice).
 ITERATIONS = 60
-# Steps that promise less (log-likelihood) are none: some 1e-5 standard deviations.
+# Marquardt's damping at the start; the longest steps, of the rotation (radians) and of a camera's own: the model is linear
+# about as far (choice).
+DAMPING, LONGEST_TURN, LONGEST_OWN = 1e-3, 0.5, 1.5
+# Steps that promise less (log-likelihood) are none: some 1e-5 standard deviations (derived: the root of twice as much).
 SETTLED = 1e-10
-# Where the bound of iterations ends a search, this is near enough: 0.05 standard deviations.
+# Where the bound of iterations ends a search, this is near enough: 0.05 standard deviations (derived, likewise).
 NEAR = 1e-3
-# A stranger minimum that is less likely by no more than exp(-this) leaves doubt.
+# A minimum that is less likely by no more than exp(-this) leaves doubt: three standard deviations, 3²/2 (derived). It is a
+# stranger where it is as many away by this one's information.
 RIVAL = 4.5
 # A turn is not observable where it is less certain than half of itself, and than this, in radians: a degree (choice).
 LEAST_LIMIT = float(np.deg2rad(1.0))
@@ -155,7 +163,7 @@ def solve_depth_plane(
     if used.any():
         found = _minima(problem)
         # Of searches that end in the same minimum, one that has settled.
-        best = int(np.argmin(found.cost + np.where(found.converged, 0, 1e-3)))
+        best = int(np.argmin(found.cost + np.where(found.converged, 0, NEAR)))
         R, own[used], cost = found.R[best], found.own[best], float(found.cost[best])
         information = _information(problem, found.R[best : best + 1], found.own[best : best + 1])
         converged, iterations = bool(found.converged[best]), found.iterations
@@ -189,7 +197,7 @@ def _problem(
         raise ValueError(f"noise must be positive, one number or one for each of {len(moments)} cameras; got {noise!r}")
     squares = np.trace(views.s_xx, axis1=1, axis2=2) + np.trace(views.s_yy, axis1=1, axis2=2)
     # What centring leaves by rounding is no spread.
-    used = (views.weights >= MIN_MATCHES) & (squares > 1e-14 * views.total)
+    used = (views.weights >= MIN_MATCHES) & (squares > ROUNDING * views.total)
     views = views.subset(used)
     M = np.array([m.matrix for m, u in zip(moments, used, strict=True) if u]).reshape(-1, 9, 9)
     mean_x, mean_y = (M[:, 8, i] / M[:, 8, 8:] for i in ([6, 7, 8], [2, 5, 8]))
@@ -249,14 +257,13 @@ def _status(found: _Found, best: int, information: FloatArray, unseen: FloatArra
 def _search(problem: _Problem, R: FloatArray, own: FloatArray) -> _Found:
     """Fisher's scoring with Marquardt's damping from S starts at once, rotations (S, 3, 3) and own unknowns (S, C, 7)."""
     cost = _cost(problem, R, own)
-    damping, converged = np.full(len(R), 1e-3), np.zeros(len(R), dtype=bool)
+    damping, converged = np.full(len(R), DAMPING), np.zeros(len(R), dtype=bool)
     iteration, promise = 0, np.full(len(R), np.inf)
     while iteration < ITERATIONS and not converged.all():
         iteration += 1
         gradient, hessian = _derivatives(problem, R, own, searching=True)
         w, step, promise = _step(gradient, hessian, damping)
-        # The model is linear about as far as this.
-        length = np.maximum(np.linalg.norm(w, axis=1) / 0.5, np.abs(step).max(axis=(1, 2)) / 1.5)
+        length = np.maximum(np.linalg.norm(w, axis=1) / LONGEST_TURN, np.abs(step).max(axis=(1, 2)) / LONGEST_OWN)
         length = np.where(converged, 0, 1 / np.maximum(length, 1))
         new_R = Rotation.from_rotvec(length[:, None] * w).as_matrix() @ R
         new_own = own + length[:, None, None] * step

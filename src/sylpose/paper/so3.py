@@ -36,6 +36,7 @@ __all__ = [
 ]
 
 
+# The search's starts: the 24 rotations of the cube, no rotation is farther than 63 degrees from one (choice).
 _STARTS = np.ascontiguousarray(Rotation.create_group("O").as_matrix())
 # Residuals' mean square is taken to be at least this share of the points' own: well above rounding's 1e-16 (choice).
 LEAST = 1e-12

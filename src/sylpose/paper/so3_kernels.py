@@ -13,15 +13,18 @@ from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, solve_fa
 __all__ = ["CERTIFICATE", "FLAT", "SAME", "STATIONARY", "derivatives_each", "minimize_each"]
 
 
-# K must be this much above singular, relative to H's mean eigenvalue of 1, to certify: well above rounding.
+# K must be this much above singular, relative to H's mean eigenvalue of 1, to certify: well above rounding
+# (choice).
 CERTIFICATE = 1e-9
-# Stationary to this: the largest tangent derivative of the cost, H's mean eigenvalue being 1.
+# Stationary to this: the largest tangent derivative of the cost, H's mean eigenvalue being 1:
+# the root of rounding (derived).
 STATIONARY = 1e-8
-# Curvature less negative than this is none.
+# Curvature less negative than this, relative to that mean, is none (choice).
 FLAT = 1e-6
-# Minima nearer than this (radians) are one; a minimum where two mirrored ones merge is found to some 1e-4 only.
+# Minima nearer than this (radians) are one; a minimum where two mirrored ones merge is found to some 1e-4 only
+# (derived: the cost is of fourth order there).
 SAME = 1e-3
-# Bounds on Newton's steps.
+# Bounds on Newton's steps; certified problems take three or four (choice).
 DUAL_STEPS, DIRECT_STEPS = 40, 100
 # The symmetric 3x3 matrices have the orthonormal basis (e_a e_b' + e_b e_a') / norm, (a, b) from these.
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
