@@ -42,7 +42,16 @@ from sylpose.paper.depth_plane_kernels import RELIEF, costs, derivatives
 from sylpose.paper.orthographic import ROUNDING, views_of
 from sylpose.results import RotationEstimate, Status
 
-__all__ = ["DepthPlaneSolution", "solve_depth_plane"]
+__all__ = [
+    "DepthPlaneSolution",
+    "Minima",
+    "Problem",
+    "cost_of",
+    "derivatives_of",
+    "problem_of",
+    "search",
+    "solve_depth_plane",
+]
 
 
 # Less noise than this share of the spread would leave nothing but rounding to fit: far below that of any image (choice).
@@ -107,7 +116,7 @@ class DepthPlaneSolution(RotationEstimate):
     converged: bool
 
 
-class _Problem(NamedTuple):
+class Problem(NamedTuple):
     """The C cameras that count.
 
     Attributes:
@@ -127,7 +136,7 @@ class _Problem(NamedTuple):
     perspective: bool
 
 
-class _Found(NamedTuple):
+class Minima(NamedTuple):
     """Where S searches ended: R (S, 3, 3), the cameras' own unknowns (S, C, 7), cost, whether settled, steps."""
 
     R: FloatArray
@@ -156,7 +165,7 @@ def solve_depth_plane(
     Raises:
         ValueError: shapes that do not fit, matrices that are no rotations, noise that is not positive.
     """
-    problem, used = _problem(rotations, moments, noise, aim)
+    problem, used = problem_of(rotations, moments, noise, aim)
     own = np.full((len(used), _OWN), np.nan)
     R, information, unseen = np.full((3, 3), np.nan), np.zeros((3, 3)), np.eye(3)
     status, cost, converged, iterations = Status.TOO_FEW_MATCHES, np.nan, False, 0
@@ -187,9 +196,9 @@ def solve_depth_plane(
     )
 
 
-def _problem(
+def problem_of(
     rotations: ArrayLike, moments: Sequence[PairMoments], noise: ArrayLike | None, aim: bool
-) -> tuple[_Problem, BoolArray]:
+) -> tuple[Problem, BoolArray]:
     """The cameras that count, and which of all these are."""
     views = views_of(rotations, moments, aim=aim)
     sigma = None if noise is None else np.asarray(noise, dtype=float)
@@ -213,24 +222,24 @@ def _problem(
     if sigma is not None:
         sigma = np.maximum(np.broadcast_to(sigma, used.shape)[used], LEAST_NOISE * spread)
     Qx, Qy, turned = (np.ascontiguousarray(a) for a in (views.rotation_x, views.rotation_y, to @ M @ transpose(to)))
-    return _Problem(Qx, Qy, turned, views.weights - USED_UP, spread, sigma, aim), used
+    return Problem(Qx, Qy, turned, views.weights - USED_UP, spread, sigma, aim), used
 
 
-def _minima(problem: _Problem) -> _Found:
+def _minima(problem: Problem) -> Minima:
     """What the search finds from the identity, and from there with parts of the turn the other way round."""
     # A noise that is given counts at the end only: the search wants to start from more.
     free = problem._replace(noise=None)
     start = np.zeros((15, len(problem.n), _OWN))
     noise = np.repeat([MUCH_NOISE, LITTLE_NOISE], [8, 7])[:, None]
     start[..., 5], start[..., 6] = np.log(RELIEF * problem.spread), np.log(noise * problem.spread)
-    first = _search(free, np.eye(3)[None], start[:1])
+    first = search(free, np.eye(3)[None], start[:1])
     turn = Rotation.from_matrix(first.R[0]).as_rotvec()
     # Other minima have, most often, the wrong sign along axes of the rig: of the distribution of its directions.
     directions = problem.rotation_x[:, 2]
     axes = np.linalg.eigh(directions.T @ directions)[1].T
     mirrored = Rotation.from_rotvec(((axes @ turn) * _SIGNS) @ axes).as_matrix()
-    more = _search(free, np.concatenate([mirrored, mirrored]), start[1:])
-    found = _Found(
+    more = search(free, np.concatenate([mirrored, mirrored]), start[1:])
+    found = Minima(
         np.concatenate([first.R, more.R]),
         np.concatenate([first.own, more.own]),
         np.concatenate([first.cost, more.cost]),
@@ -240,11 +249,11 @@ def _minima(problem: _Problem) -> _Found:
     if problem.noise is None:
         return found
     found.own[..., 6] = np.log(problem.noise)
-    last = _search(problem, found.R, found.own)
+    last = search(problem, found.R, found.own)
     return last._replace(iterations=found.iterations + last.iterations)
 
 
-def _status(found: _Found, best: int, information: FloatArray, unseen: FloatArray) -> Status:
+def _status(found: Minima, best: int, information: FloatArray, unseen: FloatArray) -> Status:
     if len(unseen):
         return Status.TURN_NOT_OBSERVABLE
     if not found.converged[best]:
@@ -254,20 +263,20 @@ def _status(found: _Found, best: int, information: FloatArray, unseen: FloatArra
     return Status.NOT_CERTIFIED if (stranger & (found.cost < found.cost[best] + RIVAL)).any() else Status.OK
 
 
-def _search(problem: _Problem, R: FloatArray, own: FloatArray) -> _Found:
+def search(problem: Problem, R: FloatArray, own: FloatArray) -> Minima:
     """Fisher's scoring with Marquardt's damping from S starts at once, rotations (S, 3, 3) and own unknowns (S, C, 7)."""
-    cost = _cost(problem, R, own)
+    cost = cost_of(problem, R, own)
     damping, converged = np.full(len(R), DAMPING), np.zeros(len(R), dtype=bool)
     iteration, promise = 0, np.full(len(R), np.inf)
     while iteration < ITERATIONS and not converged.all():
         iteration += 1
-        gradient, hessian = _derivatives(problem, R, own, searching=True)
+        gradient, hessian = derivatives_of(problem, R, own, searching=True)
         w, step, promise = _step(gradient, hessian, damping)
         length = np.maximum(np.linalg.norm(w, axis=1) / LONGEST_TURN, np.abs(step).max(axis=(1, 2)) / LONGEST_OWN)
         length = np.where(converged, 0, 1 / np.maximum(length, 1))
         new_R = Rotation.from_rotvec(length[:, None] * w).as_matrix() @ R
         new_own = own + length[:, None, None] * step
-        new_cost = _cost(problem, new_R, new_own)
+        new_cost = cost_of(problem, new_R, new_own)
         better = new_cost <= cost + 1e-12 * np.abs(cost)
         # A step that is uphill though it promised little is one of rounding; damping makes any step promise little.
         promise = promise * (1 + damping)
@@ -276,7 +285,7 @@ def _search(problem: _Problem, R: FloatArray, own: FloatArray) -> _Found:
         own = np.where(better[:, None, None], new_own, own)
         cost = np.where(better, new_cost, cost)
         damping = np.where(better, np.maximum(damping / 10, 1e-12), np.minimum(np.maximum(damping * 10, 1e-6), 1e10))
-    return _Found(R, own, cost, converged | (promise < NEAR), iteration)
+    return Minima(R, own, cost, converged | (promise < NEAR), iteration)
 
 
 def _step(gradient: FloatArray, hessian: FloatArray, damping: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -299,23 +308,23 @@ def _step(gradient: FloatArray, hessian: FloatArray, damping: FloatArray) -> tup
     return w, step, promise
 
 
-def _information(problem: _Problem, R: FloatArray, own: FloatArray) -> FloatArray:
+def _information(problem: Problem, R: FloatArray, own: FloatArray) -> FloatArray:
     """(3, 3) of w at one guess, the cameras' own unknowns eliminated."""
-    hessian = _derivatives(problem, R, own)[1][0]
+    hessian = derivatives_of(problem, R, own)[1][0]
     mixed = hessian[:, _W, 3:]
     information = (hessian[:, _W, _W] - mixed @ np.linalg.solve(hessian[:, 3:, 3:], transpose(mixed))).sum(axis=0)
     return np.asarray((information + information.T) / 2)
 
 
-def _cost(problem: _Problem, R: FloatArray, own: FloatArray) -> FloatArray:
+def cost_of(problem: Problem, R: FloatArray, own: FloatArray) -> FloatArray:
     """(S,) minus the logarithm of likelihood and priors."""
     out = np.empty(len(R))
     costs(*_plain(problem), R, own, out)
     return out
 
 
-def _derivatives(
-    problem: _Problem, R: FloatArray, own: FloatArray, searching: bool = False
+def derivatives_of(
+    problem: Problem, R: FloatArray, own: FloatArray, searching: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """Gradient (S, C, 10) and Fisher's information (S, C, 10, 10) of each camera's cost, by w and its own unknowns."""
     gradient, information = np.empty((*own.shape[:2], _N)), np.empty((*own.shape[:2], _N, _N))
@@ -324,7 +333,7 @@ def _derivatives(
 
 
 def _plain(
-    problem: _Problem,
+    problem: Problem,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, bool, bool]:
     """As the kernels take it."""
     Qx, Qy, M, n, spread, noise, perspective = problem
