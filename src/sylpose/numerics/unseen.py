@@ -28,10 +28,10 @@ def unseen_directions(information: FloatArray, limits: FloatArray | float, *, fl
     Returns:
         (..., k, n) orthonormal rows in units of the limits: times `limits`, they are in the unknowns' units.
     """
-    scale = np.broadcast_to(np.asarray(limits, dtype=float), information.shape[-1:])
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    in_limits = information * (limits * limits if isinstance(limits, float) else np.outer(limits, limits))
+    values, vectors = np.linalg.eigh(in_limits)
     first = values.reshape(-1, values.shape[-1])[0]
-    k = int((first < max(1.0, flat * first[-1])).sum())
+    k = int(np.searchsorted(first, max(1.0, flat * first[-1])))
     return vectors[..., :k].swapaxes(-1, -2)
 
 

@@ -43,23 +43,39 @@ def minimize_each(
     """Minimises 1/2 r'Hr - h'r over SO(3) for N problems.
 
     Args:
-        H: (N, 9, 9) positive semidefinite of trace 9, h: (N, 9).
+        H: (N, 9, 9) positive semidefinite, h: (N, 9); scaled here, once, to a mean eigenvalue of 1, as the limits are for.
         starts: (S, 3, 3) of the search where the dual gives no certificate.
         candidates: (N, S, 3, 3) becomes the minima, best first, `counts` (N,) of them.
         certified: (N,) becomes whether the first is proved to be the global minimum; then it is the only one.
         iterations: (N,) becomes the number of Newton's steps.
     """
+    scaled_H, scaled_h = np.empty((9, 9)), np.empty(9)
     for n in range(H.shape[0]):
+        _scaled(H[n], h[n], scaled_H, scaled_h)
         counts[n] = 1
-        found, iterations[n] = _dual_newton(H[n], h[n], candidates[n, 0])
-        certified[n] = found and _is_certified(H[n], h[n], candidates[n, 0])
+        found, iterations[n] = _dual_newton(scaled_H, scaled_h, candidates[n, 0])
+        certified[n] = found and _is_certified(scaled_H, scaled_h, candidates[n, 0])
         if not certified[n]:
             # The dual can also creep along the boundary past a maximum inside: the certificate is asked for again.
-            counts[n], steps = _local_minima(H[n], h[n], starts, candidates[n])
+            counts[n], steps = _local_minima(scaled_H, scaled_h, starts, candidates[n])
             iterations[n] += steps
-            certified[n] = _is_certified(H[n], h[n], candidates[n, 0])
+            certified[n] = _is_certified(scaled_H, scaled_h, candidates[n, 0])
             if certified[n]:
                 counts[n] = 1
+
+
+@kernel
+def _scaled(H: FloatArray, h: FloatArray, scaled_H: FloatArray, scaled_h: FloatArray) -> None:
+    """Over H's mean eigenvalue; as they are where H is zero."""
+    scale = 0.0
+    for i in range(9):
+        scale += H[i, i] / 9.0
+    if not scale > 0.0:
+        scale = 1.0
+    for i in range(9):
+        scaled_h[i] = h[i] / scale
+        for j in range(9):
+            scaled_H[i, j] = H[i, j] / scale
 
 
 @kernel
