@@ -12,7 +12,15 @@ from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper import depth_plane
 from sylpose.paper.centralized import solve_centralized
-from sylpose.paper.depth_plane import DepthPlaneSolution, solve_depth_plane
+from sylpose.paper.depth_plane import (
+    NEAR,
+    DepthPlaneSolution,
+    cost_of,
+    derivatives_of,
+    problem_of,
+    search,
+    solve_depth_plane,
+)
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import Body, arc, box, ellipsoid, plane, random_motion, ring, simulate_matches
@@ -117,19 +125,19 @@ def test_what_each_camera_sees_is_found() -> None:
 @pytest.mark.parametrize("noise", [None, 7e-4])
 def test_derivatives_against_finite_differences(perspective: bool, noise: float | None) -> None:
     rotations, moments, _ = scene(0, around(3), ellipsoid((0.15, 0.12, 0.1)))
-    problem, _ = depth_plane._problem(rotations, moments, noise, perspective)
+    problem, _ = problem_of(rotations, moments, noise, perspective)
     rng = np.random.default_rng(1)
     scales = np.array([1, 1, 0.03, 1e-3, 1e-3, 0.3, 0.3])
     own = scales * rng.standard_normal((1, 3, 7)) + [0, 0, 0, 0, 0, np.log(0.02), 0]
     own[..., 6] = np.log(7e-4) if noise else np.log(7e-4) + own[..., 6]
     R = Rotation.from_rotvec([[0.05, -0.03, 0.06]]).as_matrix()
-    gradient, information = depth_plane._derivatives(problem, R, own)
+    gradient, information = derivatives_of(problem, R, own)
 
     def cost(step: FloatArray) -> float:
         """By w and the second camera's own unknowns."""
         turned = Rotation.from_rotvec(step[None, :3]).as_matrix() @ R
         changed = own + np.eye(3)[1][:, None] * step[3:]
-        return float(depth_plane._cost(problem, turned, changed)[0])
+        return float(cost_of(problem, turned, changed)[0])
 
     numeric = np.array([(cost(e) - cost(-e)) / 2e-6 for e in 1e-6 * np.eye(10)])
     analytic = np.concatenate([gradient[0, :, :3].sum(axis=0), gradient[0, 1, 3:]])
@@ -141,12 +149,12 @@ def test_derivatives_against_finite_differences(perspective: bool, noise: float 
 def test_the_answer_is_a_minimum() -> None:
     rotations, moments, _ = scene(1, around(4), box())
     solution = solve_depth_plane(rotations, moments)
-    problem, _ = depth_plane._problem(rotations, moments, None, True)
+    problem, _ = problem_of(rotations, moments, None, True)
     own = np.column_stack([solution.planes, np.log(solution.scales), np.zeros((4, 2))])
     own = np.column_stack([own, np.log(solution.relief), np.log(solution.sigma)])
     for w in 1e-3 * np.concatenate([np.eye(3), -np.eye(3)]):
         nearby = Rotation.from_rotvec(w).as_matrix() @ solution.rotation
-        again = depth_plane._search(problem, nearby[None], own[None])
+        again = search(problem, nearby[None], own[None])
         assert turn_between(again.R[0], solution.rotation) < 1e-5
         assert again.cost[0] == pytest.approx(solution.cost, abs=1e-6)
 
@@ -354,7 +362,7 @@ def test_a_slow_search_that_is_near_the_minimum_has_its_answer(monkeypatch: pyte
     assert solution.converged
     monkeypatch.setattr(depth_plane, "ITERATIONS", 1000)
     longer = solve_depth_plane(rotations, moments)
-    assert 0 <= solution.cost - longer.cost < depth_plane.NEAR
+    assert 0 <= solution.cost - longer.cost < NEAR
     apart = Rotation.from_matrix(longer.rotation @ solution.rotation.T).as_rotvec()
     assert apart @ longer.information @ apart < 0.1**2
     assert solution.iterations < longer.iterations

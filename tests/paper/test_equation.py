@@ -252,18 +252,29 @@ def test_eigenvalues_far_apart_are_no_proof(method: Method) -> None:
 
 @given(seeds, st.integers(1, 12), st.integers(1, 12), st.sampled_from([1.0, 1e3, 1e6]))
 @quick
-def test_least_singular_value_without_the_kronecker_product_is_right(seed: int, m: int, n: int, far: float) -> None:
+def test_bartels_stewart_knows_the_least_singular_value(seed: int, m: int, n: int, far: float) -> None:
+    """To a factor of ten: below it the equation is regular, above it singular."""
     rng = np.random.default_rng(seed)
     a, b = (np.triu(rng.normal(size=(k, k))) * far ** rng.uniform(size=(k, k)) for k in (m, n))
     system = np.kron(a, np.eye(n)) + np.kron(np.eye(m), b.T)
     expected = np.linalg.svd(system, compute_uv=False)
     if expected[-1] < 1e-12 * expected[0]:
         return
-    start = np.random.default_rng(0).standard_normal((m, n))
-    qz = equation._qz_forms(a, np.eye(m), np.eye(n), b)
-    for triangular in (equation._schur_forms(a, b), qz):
-        sigma = equation._least_singular_value(triangular, start)
-        assert 0.999 * expected[-1] - 1e-15 * expected[0] <= sigma <= 10 * expected[-1] + 1e-15 * expected[0]
+    size = sum(np.sqrt(np.linalg.norm(x, 1) * np.linalg.norm(x, np.inf)) for x in (a, b))
+    c = rng.normal(size=(m, n))
+    below, above = 0.99 * expected[-1] / size, 10.5 * expected[-1] / size
+
+    def plain(rcond: float) -> FloatArray:
+        return solve_sylvester(a, b, c, "bartels-stewart", rcond)
+
+    def of_two_terms(rcond: float) -> FloatArray:
+        return solve_generalized_sylvester([a, np.eye(m)], [np.eye(n), b], c, "bartels-stewart", rcond)
+
+    for solve in (plain, of_two_terms):
+        assert np.isfinite(solve(below)).all()
+        if above < 1:
+            with pytest.raises(SingularSylvesterError):
+                solve(above)
 
 
 @each_method

@@ -236,6 +236,7 @@ CONSTRAINED = {
     "all cameras, unconstrained, then adjusted": unconstrained_centralized,
     "all cameras, a rotation": centralized,
 }
+# Degrees: so much that one camera sees something of all axes (choice).
 CONSTRAINED_TURN = 20.0
 
 

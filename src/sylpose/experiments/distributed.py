@@ -43,6 +43,7 @@ DISTRIBUTED: dict[str, Callable[..., Agreement]] = {
     "distributed, refined": solve_refine,
     "distributed, gossip between neighbours": solve_gossip,
 }
+# Cameras of the comparison (choice).
 CAMERAS = 6
 
 
@@ -97,7 +98,8 @@ SCHEMES_STUDY = Study(
 
 # --- Rounds -----------------------------------------------------------------------------------------------------------
 
-# To this many radians from the centralised answer it counts as the same.
+# To this many radians from the centralised answer it counts as the same (choice). Rounds that are shown, and numbers of
+# cameras (choice).
 SAME = 1e-8
 ROUNDS = 80
 NUMBERS = (3, 4, 8, 16)

@@ -26,7 +26,7 @@ STYLES = (
     ("#009E73", "-.", "^"),
     ("#CC79A7", ":", "D"),
 )
-# With more levels than this, not each one gets a marker and a tick.
+# With more levels than this, not each one gets a marker and a tick (choice).
 MARKED = 15
 ERROR_LABEL = "rotation error (degrees)"
 

@@ -77,6 +77,7 @@ LAYOUT = Study(
 
 # --- Occlusion --------------------------------------------------------------------------------------------------------
 
+# Of how many cameras how many are occluded (choice).
 CAMERAS, OCCLUDED = 8, 4
 OCCLUSION = {
     "an occluded camera alone": lambda problem: one_camera(problem.only(problem.bad)),
@@ -127,6 +128,7 @@ OCCLUSION_STUDY = Study(
 # --- Bad sensors ------------------------------------------------------------------------------------------------------
 
 KINDS = ("junk matches", "calibration wrong by 20°", "frozen")
+# Degrees: a wrong calibration shows with the turn (choice).
 SENSOR_TURN = 10.0
 SENSORS: dict[str, Estimator] = {
     "all cameras": centralized,

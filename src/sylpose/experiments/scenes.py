@@ -34,8 +34,9 @@ __all__ = [
 ]
 
 
+# Where no study says otherwise: pixels, per camera, degrees, metres (choice: docs/paper.md).
 NOISE_PX, MATCHES, TURN_DEG, SHIFT = 0.5, 60, 5.0, 0.02
-# Points of a body's surface; each camera draws its own from those that it sees.
+# Points of a body's surface; each camera draws its own from those that it sees (choice).
 POINTS = 1000
 
 

@@ -23,7 +23,8 @@ __all__ = ["STUDIES", "Fit", "straight_line"]
 
 
 TIME_COLUMNS = ("repeats", "q25_ms", "median_ms", "q75_ms")
-# So many cameras and more are certified, as a rule; with fewer the estimator also looks for all local minima.
+# So many cameras and more are certified, as a rule; with fewer the estimator also looks for all local minima
+# (measured: docs/paper.md#1-pose-from-several-cameras).
 CERTIFIED = 3
 SOLVE, FORM = "estimate from moments", "form the moments"
 

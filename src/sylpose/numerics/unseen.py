@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.compiled import cholesky
 
 __all__ = ["UNSEEN_SHARE", "UNSEEN_TURN", "about_a_turn", "unseen_directions"]
 
@@ -28,10 +29,16 @@ def unseen_directions(information: FloatArray, limits: FloatArray | float, *, fl
     Returns:
         (..., k, n) orthonormal rows in units of the limits: times `limits`, they are in the unknowns' units.
     """
-    scale = np.broadcast_to(np.asarray(limits, dtype=float), information.shape[-1:])
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    in_limits = information * (limits * limits if isinstance(limits, float) else np.outer(limits, limits))
+    if information.ndim == 2:
+        # As a rule all is seen: then no eigenvectors are needed. The trace is no less than the largest eigenvalue.
+        beyond = np.array(in_limits, order="C")
+        beyond.flat[:: len(beyond) + 1] -= max(1.0, flat * float(np.trace(in_limits)))
+        if cholesky(beyond):
+            return np.empty((0, len(beyond)))
+    values, vectors = np.linalg.eigh(in_limits)
     first = values.reshape(-1, values.shape[-1])[0]
-    k = int((first < max(1.0, flat * first[-1])).sum())
+    k = int(np.searchsorted(first, max(1.0, flat * first[-1])))
     return vectors[..., :k].swapaxes(-1, -2)
 
 

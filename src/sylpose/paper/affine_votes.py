@@ -23,25 +23,32 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.matrices import transpose
-from sylpose.paper.orthographic import Views
+from sylpose.paper.orthographic import ROUNDING, Views
 
 __all__ = ["FAULT", "AffineFits", "Scores", "affine_fits", "agreed_rotation", "score", "settled"]
 
 
-# What is believed of a camera's view: slopes of the plane of depths, change of scale, and what is no affine image at all,
-# without a turn and per radian of it.
+# What is believed of a camera's view: slopes of the plane of depths (choice), change of scale (choice: an object that comes
+# 5 % nearer is a fast one), and what is no affine image at all, without a turn and per radian of it
+# (measured: docs/benchmarks.md#bad-sensors, no good camera named).
 SLOPE, SCALE, LEFT_OVER, LEFT_OVER_PER_RADIAN = 0.5, 0.05, 0.003, 0.03
-# A camera is at fault above this score: of good ones, boxes and ellipsoids in perspective, 99 in 100 are below 4.
+# A camera is at fault above this score: of good ones, boxes and ellipsoids in perspective, 99 in 100 are below 4
+# (measured: docs/benchmarks.md#bad-sensors, no good camera of 4,650 is named).
 FAULT = 12.0
 # -2 log-likelihood of a camera at fault: its F may be anywhere, and few cameras are. By how much one set of faulty cameras
-# must be likelier than any other.
+# must be likelier than any other: a factor of exp(3) = 20 (choice).
 AT_FAULT, MARGIN = 0.0, 6.0
-# More than so many cameras, all below this score: nothing is searched for. Fewer can all agree on something wrong.
+# More than so many cameras, all below this score: nothing is searched for. Fewer can all agree on something wrong (choice).
 FEW, AGREED = 4, 4.0
-# Fewer matches than this are not judged.
+# Fewer matches than this are not judged: an affine map with a place takes three (choice).
 MIN_MATCHES = 6.0
-# The search starts from no more groups, and goes on with the best.
+# Matches are on one line whose smaller spread is at most this share of the larger: the root of rounding's (derived).
+ON_A_LINE = 1e-9
+# The search starts from no more groups, and goes on with the best (choice: time).
 GROUPS, KEPT = 40, 8
+# A step turns by no more than this, radians: V, held fixed in it, changes with the turn (choice). A shorter one than
+# `SETTLED` is none (choice).
+LONGEST_STEP, SETTLED = 0.3, 1e-6
 _SKEW = -np.cross(np.eye(3)[:, None], np.eye(3))
 
 
@@ -91,8 +98,8 @@ class Scores(NamedTuple):
 def affine_fits(views: Views) -> AffineFits:
     """Of the cameras with at least `MIN_MATCHES` matches that are not all on one line."""
     spread = np.linalg.eigvalsh(views.s_xx)
-    enough = (views.weights >= MIN_MATCHES) & (spread[:, 0] > 1e-9 * spread[:, 1])
-    enough &= spread[:, 1] > 1e-13 * views.total
+    enough = (views.weights >= MIN_MATCHES) & (spread[:, 0] > ON_A_LINE * spread[:, 1])
+    enough &= spread[:, 1] > 10 * ROUNDING * views.total
     v = views.subset(enough)
     inverse = np.linalg.inv(v.s_xx)
     F = v.s_yx @ inverse
@@ -142,9 +149,9 @@ def _refined(
         gradient = (weighted @ s.difference[..., None]).sum(axis=1)
         step = np.linalg.solve(information, gradient)[..., 0]
         length = np.linalg.norm(step, axis=1, keepdims=True)
-        step /= np.maximum(length / 0.3, 1.0)
+        step /= np.maximum(length / LONGEST_STEP, 1.0)
         rotations = Rotation.from_rotvec(step).as_matrix() @ rotations
-        if length.max() < 1e-6:
+        if length.max() < SETTLED:
             break
     return rotations, information
 

@@ -30,14 +30,17 @@ __all__ = ["Diagnosis", "Fault", "FaultKind", "RobustSolution", "diagnose", "sol
 
 FaultKind = Literal["calibration", "frozen", "junk"]
 
-# A camera is trusted in full up to this score, and not at all from `FAULT` on.
+# A camera is trusted in full up to this score, and not at all from `FAULT` on: half of that (choice).
 TRUSTED = 6.0
-# Of a camera at fault: junk where no rotation comes nearer than this score to what its matches say.
+# Of a camera at fault: junk where no rotation comes nearer than this score to what its matches say (measured:
+# docs/benchmarks.md#bad-sensors, the kind is right in all).
 JUNK = 4.0
-# A camera stands still where chance makes its matches' displacements as large at least this often.
+# A camera stands still where chance makes its matches' displacements as large at least this often (choice; F-test).
 STILL = 1e-4
-# The rotation is searched for with no more cameras than this.
+# The rotation is searched for with no more cameras than this (choice: time).
 SEARCHED = 24
+# Squares of displacements up to this share of those of the places are rounding (derived).
+NO_MOTION = 1e-12
 _TEXTS: dict[FaultKind, str] = {
     "calibration": "its matches fit a rotation, but not that of the other cameras: its calibration is wrong, it was moved, "
     "or its images are mirrored, exchanged or of something else",
@@ -221,7 +224,7 @@ def _still(moments: Sequence[PairMoments], fits: AffineFits) -> BoolArray:
     moved = M[:, x, x].sum(axis=1) + M[:, y, y].sum(axis=1) - 2 * M[:, y, x].sum(axis=1)
     # F-test of the affine map's six numbers; what rounding leaves is no motion.
     noise = fits.misfit / (2 * fits.weight - 6)
-    rounding = 1e-12 * np.trace(M, axis1=1, axis2=2)
+    rounding = NO_MOTION * np.trace(M, axis1=1, axis2=2)
     return np.asarray(moved - fits.misfit <= 6 * noise * fdtri(6, 2 * fits.weight - 6, 1 - STILL) + rounding)
 
 

@@ -39,26 +39,43 @@ from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.matrices import kron, transpose
 from sylpose.numerics.unseen import UNSEEN_SHARE, unseen_directions
 from sylpose.paper.depth_plane_kernels import RELIEF, costs, derivatives
-from sylpose.paper.orthographic import views_of
+from sylpose.paper.orthographic import ROUNDING, views_of
 from sylpose.results import RotationEstimate, Status
 
-__all__ = ["DepthPlaneSolution", "solve_depth_plane"]
+__all__ = [
+    "DepthPlaneSolution",
+    "Minima",
+    "Problem",
+    "cost_of",
+    "derivatives_of",
+    "problem_of",
+    "search",
+    "solve_depth_plane",
+]
 
 
-# Less noise than this share of the spread would leave nothing but rounding to fit.
+# Less noise than this share of the spread would leave nothing but rounding to fit: far below that of any image (choice).
 LEAST_NOISE = 1e-4
-# Noise to start from, as a share of the spread: much smooths the cost, so that few minima are left; little finds others.
+# Noise to start from, as a share of the spread: much smooths the cost, so that few minima are left; little finds others
+# (measured: docs/benchmarks.md#the-depth-plane, OK and not).
 MUCH_NOISE, LITTLE_NOISE = 0.2, 0.02
-# A camera has a place, a plane and a scale of its own: matches that they use up, at two coordinates each.
+# A camera has a place, a plane and a scale of its own: matches that these five numbers use up (derived: two
+# coordinates each).
 USED_UP = 2.5
+# As many are left something to say (derived).
 MIN_MATCHES = 3
 
+# Searches that end well take 13 to 30; more are stragglers of those that start mirrored (choice).
 ITERATIONS = 60
-# Steps that promise less (log-likelihood) are none: some 1e-5 standard deviations.
+# Marquardt's damping at the start; the longest steps, of the rotation (radians) and of a camera's own: the model is linear
+# about as far (choice).
+DAMPING, LONGEST_TURN, LONGEST_OWN = 1e-3, 0.5, 1.5
+# Steps that promise less (log-likelihood) are none: some 1e-5 standard deviations (derived: the root of twice as much).
 SETTLED = 1e-10
-# Where the bound of iterations ends a search, this is near enough: 0.05 standard deviations.
+# Where the bound of iterations ends a search, this is near enough: 0.05 standard deviations (derived, likewise).
 NEAR = 1e-3
-# A stranger minimum that is less likely by no more than exp(-this) leaves doubt.
+# A minimum that is less likely by no more than exp(-this) leaves doubt: three standard deviations, 3²/2 (derived). It is a
+# stranger where it is as many away by this one's information.
 RIVAL = 4.5
 # A turn is not observable where it is less certain than half of itself, and than this, in radians: a degree (choice).
 LEAST_LIMIT = float(np.deg2rad(1.0))
@@ -99,7 +116,7 @@ class DepthPlaneSolution(RotationEstimate):
     converged: bool
 
 
-class _Problem(NamedTuple):
+class Problem(NamedTuple):
     """The C cameras that count.
 
     Attributes:
@@ -119,7 +136,7 @@ class _Problem(NamedTuple):
     perspective: bool
 
 
-class _Found(NamedTuple):
+class Minima(NamedTuple):
     """Where S searches ended: R (S, 3, 3), the cameras' own unknowns (S, C, 7), cost, whether settled, steps."""
 
     R: FloatArray
@@ -148,14 +165,14 @@ def solve_depth_plane(
     Raises:
         ValueError: shapes that do not fit, matrices that are no rotations, noise that is not positive.
     """
-    problem, used = _problem(rotations, moments, noise, aim)
+    problem, used = problem_of(rotations, moments, noise, aim)
     own = np.full((len(used), _OWN), np.nan)
     R, information, unseen = np.full((3, 3), np.nan), np.zeros((3, 3)), np.eye(3)
     status, cost, converged, iterations = Status.TOO_FEW_MATCHES, np.nan, False, 0
     if used.any():
         found = _minima(problem)
         # Of searches that end in the same minimum, one that has settled.
-        best = int(np.argmin(found.cost + np.where(found.converged, 0, 1e-3)))
+        best = int(np.argmin(found.cost + np.where(found.converged, 0, NEAR)))
         R, own[used], cost = found.R[best], found.own[best], float(found.cost[best])
         information = _information(problem, found.R[best : best + 1], found.own[best : best + 1])
         converged, iterations = bool(found.converged[best]), found.iterations
@@ -179,9 +196,9 @@ def solve_depth_plane(
     )
 
 
-def _problem(
+def problem_of(
     rotations: ArrayLike, moments: Sequence[PairMoments], noise: ArrayLike | None, aim: bool
-) -> tuple[_Problem, BoolArray]:
+) -> tuple[Problem, BoolArray]:
     """The cameras that count, and which of all these are."""
     views = views_of(rotations, moments, aim=aim)
     sigma = None if noise is None else np.asarray(noise, dtype=float)
@@ -189,7 +206,7 @@ def _problem(
         raise ValueError(f"noise must be positive, one number or one for each of {len(moments)} cameras; got {noise!r}")
     squares = np.trace(views.s_xx, axis1=1, axis2=2) + np.trace(views.s_yy, axis1=1, axis2=2)
     # What centring leaves by rounding is no spread.
-    used = (views.weights >= MIN_MATCHES) & (squares > 1e-14 * views.total)
+    used = (views.weights >= MIN_MATCHES) & (squares > ROUNDING * views.total)
     views = views.subset(used)
     M = np.array([m.matrix for m, u in zip(moments, used, strict=True) if u]).reshape(-1, 9, 9)
     mean_x, mean_y = (M[:, 8, i] / M[:, 8, 8:] for i in ([6, 7, 8], [2, 5, 8]))
@@ -205,24 +222,24 @@ def _problem(
     if sigma is not None:
         sigma = np.maximum(np.broadcast_to(sigma, used.shape)[used], LEAST_NOISE * spread)
     Qx, Qy, turned = (np.ascontiguousarray(a) for a in (views.rotation_x, views.rotation_y, to @ M @ transpose(to)))
-    return _Problem(Qx, Qy, turned, views.weights - USED_UP, spread, sigma, aim), used
+    return Problem(Qx, Qy, turned, views.weights - USED_UP, spread, sigma, aim), used
 
 
-def _minima(problem: _Problem) -> _Found:
+def _minima(problem: Problem) -> Minima:
     """What the search finds from the identity, and from there with parts of the turn the other way round."""
     # A noise that is given counts at the end only: the search wants to start from more.
     free = problem._replace(noise=None)
     start = np.zeros((15, len(problem.n), _OWN))
     noise = np.repeat([MUCH_NOISE, LITTLE_NOISE], [8, 7])[:, None]
     start[..., 5], start[..., 6] = np.log(RELIEF * problem.spread), np.log(noise * problem.spread)
-    first = _search(free, np.eye(3)[None], start[:1])
+    first = search(free, np.eye(3)[None], start[:1])
     turn = Rotation.from_matrix(first.R[0]).as_rotvec()
     # Other minima have, most often, the wrong sign along axes of the rig: of the distribution of its directions.
     directions = problem.rotation_x[:, 2]
     axes = np.linalg.eigh(directions.T @ directions)[1].T
     mirrored = Rotation.from_rotvec(((axes @ turn) * _SIGNS) @ axes).as_matrix()
-    more = _search(free, np.concatenate([mirrored, mirrored]), start[1:])
-    found = _Found(
+    more = search(free, np.concatenate([mirrored, mirrored]), start[1:])
+    found = Minima(
         np.concatenate([first.R, more.R]),
         np.concatenate([first.own, more.own]),
         np.concatenate([first.cost, more.cost]),
@@ -232,11 +249,11 @@ def _minima(problem: _Problem) -> _Found:
     if problem.noise is None:
         return found
     found.own[..., 6] = np.log(problem.noise)
-    last = _search(problem, found.R, found.own)
+    last = search(problem, found.R, found.own)
     return last._replace(iterations=found.iterations + last.iterations)
 
 
-def _status(found: _Found, best: int, information: FloatArray, unseen: FloatArray) -> Status:
+def _status(found: Minima, best: int, information: FloatArray, unseen: FloatArray) -> Status:
     if len(unseen):
         return Status.TURN_NOT_OBSERVABLE
     if not found.converged[best]:
@@ -246,21 +263,20 @@ def _status(found: _Found, best: int, information: FloatArray, unseen: FloatArra
     return Status.NOT_CERTIFIED if (stranger & (found.cost < found.cost[best] + RIVAL)).any() else Status.OK
 
 
-def _search(problem: _Problem, R: FloatArray, own: FloatArray) -> _Found:
+def search(problem: Problem, R: FloatArray, own: FloatArray) -> Minima:
     """Fisher's scoring with Marquardt's damping from S starts at once, rotations (S, 3, 3) and own unknowns (S, C, 7)."""
-    cost = _cost(problem, R, own)
-    damping, converged = np.full(len(R), 1e-3), np.zeros(len(R), dtype=bool)
+    cost = cost_of(problem, R, own)
+    damping, converged = np.full(len(R), DAMPING), np.zeros(len(R), dtype=bool)
     iteration, promise = 0, np.full(len(R), np.inf)
     while iteration < ITERATIONS and not converged.all():
         iteration += 1
-        gradient, hessian = _derivatives(problem, R, own, searching=True)
+        gradient, hessian = derivatives_of(problem, R, own, searching=True)
         w, step, promise = _step(gradient, hessian, damping)
-        # The model is linear about as far as this.
-        length = np.maximum(np.linalg.norm(w, axis=1) / 0.5, np.abs(step).max(axis=(1, 2)) / 1.5)
+        length = np.maximum(np.linalg.norm(w, axis=1) / LONGEST_TURN, np.abs(step).max(axis=(1, 2)) / LONGEST_OWN)
         length = np.where(converged, 0, 1 / np.maximum(length, 1))
         new_R = Rotation.from_rotvec(length[:, None] * w).as_matrix() @ R
         new_own = own + length[:, None, None] * step
-        new_cost = _cost(problem, new_R, new_own)
+        new_cost = cost_of(problem, new_R, new_own)
         better = new_cost <= cost + 1e-12 * np.abs(cost)
         # A step that is uphill though it promised little is one of rounding; damping makes any step promise little.
         promise = promise * (1 + damping)
@@ -269,7 +285,7 @@ def _search(problem: _Problem, R: FloatArray, own: FloatArray) -> _Found:
         own = np.where(better[:, None, None], new_own, own)
         cost = np.where(better, new_cost, cost)
         damping = np.where(better, np.maximum(damping / 10, 1e-12), np.minimum(np.maximum(damping * 10, 1e-6), 1e10))
-    return _Found(R, own, cost, converged | (promise < NEAR), iteration)
+    return Minima(R, own, cost, converged | (promise < NEAR), iteration)
 
 
 def _step(gradient: FloatArray, hessian: FloatArray, damping: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -292,23 +308,23 @@ def _step(gradient: FloatArray, hessian: FloatArray, damping: FloatArray) -> tup
     return w, step, promise
 
 
-def _information(problem: _Problem, R: FloatArray, own: FloatArray) -> FloatArray:
+def _information(problem: Problem, R: FloatArray, own: FloatArray) -> FloatArray:
     """(3, 3) of w at one guess, the cameras' own unknowns eliminated."""
-    hessian = _derivatives(problem, R, own)[1][0]
+    hessian = derivatives_of(problem, R, own)[1][0]
     mixed = hessian[:, _W, 3:]
     information = (hessian[:, _W, _W] - mixed @ np.linalg.solve(hessian[:, 3:, 3:], transpose(mixed))).sum(axis=0)
     return np.asarray((information + information.T) / 2)
 
 
-def _cost(problem: _Problem, R: FloatArray, own: FloatArray) -> FloatArray:
+def cost_of(problem: Problem, R: FloatArray, own: FloatArray) -> FloatArray:
     """(S,) minus the logarithm of likelihood and priors."""
     out = np.empty(len(R))
     costs(*_plain(problem), R, own, out)
     return out
 
 
-def _derivatives(
-    problem: _Problem, R: FloatArray, own: FloatArray, searching: bool = False
+def derivatives_of(
+    problem: Problem, R: FloatArray, own: FloatArray, searching: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """Gradient (S, C, 10) and Fisher's information (S, C, 10, 10) of each camera's cost, by w and its own unknowns."""
     gradient, information = np.empty((*own.shape[:2], _N)), np.empty((*own.shape[:2], _N, _N))
@@ -317,7 +333,7 @@ def _derivatives(
 
 
 def _plain(
-    problem: _Problem,
+    problem: Problem,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, bool, bool]:
     """As the kernels take it."""
     Qx, Qy, M, n, spread, noise, perspective = problem

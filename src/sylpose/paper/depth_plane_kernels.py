@@ -13,13 +13,13 @@ from sylpose.numerics.compiled import kernel
 __all__ = ["costs", "derivatives"]
 
 
-# What is believed beforehand. The plane's normal points any way: a density of (1 + |a|²)^-3/2 for its slopes.
+# What is believed beforehand. The plane's normal points any way: a density of (1 + |a|²)^-3/2 for its slopes (derived).
 SLOPE_POWER = 1.5
-# Standard deviation of log s: an object that comes 5 % nearer is a fast one.
+# Standard deviation of log s: an object that comes 5 % nearer is a fast one (choice).
 LOG_SCALE = 0.05
-# Relief, as a share of the points' spread, and the standard deviation of its logarithm.
+# Relief, as a share of the points' spread, and the standard deviation of its logarithm (choice: vague).
 RELIEF, LOG_RELIEF = 0.3, 0.7
-# Noise, as a share of the points' spread: worth one more coordinate that has it.
+# Noise, as a share of the points' spread: worth one more coordinate that has it (choice).
 NOISE = 0.005
 
 

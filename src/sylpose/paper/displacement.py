@@ -21,9 +21,9 @@ from sylpose.paper.orthographic import quadratic_of, views_of
 __all__ = ["translation_from_means", "translation_from_moments"]
 
 
-# Step of the numerical derivative by the rotation, radians.
+# Step of the numerical derivative by the rotation, radians: near the root of rounding (derived).
 STEP = 1e-6
-# Rounds in which the noise's variance, which the prior is weighed against, is found.
+# Rounds in which the noise's variance, which the prior is weighed against, is found (choice).
 VARIANCES = 3
 
 

@@ -1,8 +1,8 @@
 """Sylvester's equation A N + N B = C, and its generalised form Σ A_k X B_k = C, with singular ones refused.
 
 The refinement's steps are of this kind (`distributed.refine`). The other estimators have the multiplier L among the
-unknowns and solve the equation together with its constraint: in closed form for one camera (`one_camera`), else on SO(3)
-(`so3`).
+unknowns and solve the equation together with its constraint: nearly in closed form for one camera (`one_camera`), else
+on SO(3) (`so3`).
 
 `scipy.linalg.solve_sylvester` gives numbers of the order 1e14 where A and -B share an eigenvalue; here that is an error
 that names it. An equation is singular where its least singular value, σ = min |A N + N B| / |N| (Frobenius norms; also
@@ -33,14 +33,16 @@ __all__ = ["Method", "SingularSylvesterError", "solve_generalized_sylvester", "s
 Array = NDArray[Any]  # real or complex
 Method = Literal["kronecker", "bartels-stewart"]
 
-# Up to so many unknowns the Kronecker product is faster: two-sided, and of two general terms (docs/equation.md).
+# Up to so many unknowns the Kronecker product is faster: two-sided, and of two general terms
+# (measured: docs/equation.md#times).
 FEW_UNKNOWNS, FEW_UNKNOWNS_OF_TERMS = 50, 200
-# Its matrix has the square of this number of entries: 200 MB, and as much again for the inverse.
+# Its matrix has the square of this number of entries: 200 MB, and as much again for the inverse (choice).
 MOST_UNKNOWNS = 5000
 # Inverse iterations for σ. One finds a tiny σ but for the share that the start has in its direction, about
-# 1 / sqrt(unknowns); the others make up for that share.
+# 1 / sqrt(unknowns); the others make up for that share
+# (measured: docs/equation.md#when-an-equation-is-singular).
 ROUNDS = 3
-# Rank and null direction of a singular generalised equation are reported up to so many unknowns.
+# Rank and null direction of a singular generalised equation are reported up to so many unknowns (choice: time).
 REPORTED_UNKNOWNS = 400
 EPSILON = float(np.finfo(float).eps)
 

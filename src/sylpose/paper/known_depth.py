@@ -30,11 +30,11 @@ from sylpose.results import RotationEstimate, Status
 __all__ = ["KnownDepthSolution", "solve_2d3d", "solve_3d3d"]
 
 
-# Eigenvalues up to this share of others are zero.
+# Eigenvalues up to this share of others are zero: well above rounding's 1e-16 (choice).
 ROUNDING = 1e-12
-# Points whose distance from their mean is this share of that from the origin are spread by rounding only.
+# Points whose distance from their mean is this share of that from the origin are spread by rounding only (derived).
 FALLEN = 16 * float(np.finfo(float).eps)
-# No weight is larger, and one that is smaller than the inverse is none.
+# No weight is larger, and one that is smaller than the inverse is none: squares stay in range (derived).
 MOST = 1e100
 
 

@@ -42,16 +42,17 @@ from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import transpose
 from sylpose.paper.centralized import status_of, unseen_turns
-from sylpose.paper.orthographic import Views, quadratic_of, views_of
+from sylpose.paper.orthographic import ROUNDING, Views, quadratic_of, views_of
 from sylpose.results import RotationEstimate, Status
 
 __all__ = ["OneCameraSolution", "solve_one_camera", "solve_unconstrained"]
 
 
-# Points are collinear where the smaller eigenvalue of S_xx is at most this share of the larger.
+# Points are collinear where the smaller eigenvalue of S_xx is at most this share of the larger: well above rounding's
+# 1e-16 (choice).
 COLLINEAR = 1e-12
 # Where S_yx says nothing at all no motion decides: this share of S_xx, of the size of rounding, is added to it. So the
-# root is above -s also where without it v would be left free there.
+# root is above -s also where without it v would be left free there (derived).
 STILL = 1e-15
 
 
@@ -148,14 +149,14 @@ def _views(rotation: ArrayLike, moments: PairMoments, aim: bool) -> Views:
 
 def _has_spread(views: Views) -> bool:
     # What centring leaves by rounding is no spread; a little stricter than `quadratic_of`, which refuses such.
-    return bool(np.trace(views.s_xx[0]) > 1e-13 * views.total)
+    return bool(np.trace(views.s_xx[0]) > 10 * ROUNDING * views.total)
 
 
 def _normalised(views: Views) -> tuple[FloatArray, FloatArray, FloatArray]:
     """S_xx / tr S_xx = axes diag(s) axes', s (2,) ascending, s[0] = 0 if collinear, and T = S_yx axes / tr S_xx."""
     trace = np.trace(views.s_xx[0])
     s, axes = np.linalg.eigh(views.s_xx[0] / trace)
-    if s[0] <= max(COLLINEAR * s[1], 1e-14 * views.total / trace):
+    if s[0] <= max(COLLINEAR * s[1], ROUNDING * views.total / trace):
         s[0] = 0
     return s, axes, views.s_yx[0] @ axes / trace
 

@@ -36,6 +36,7 @@ __all__ = [
 ]
 
 
+# The search's starts: the 24 rotations of the cube, no rotation is farther than 63 degrees from one (choice).
 _STARTS = np.ascontiguousarray(Rotation.create_group("O").as_matrix())
 # Residuals' mean square is taken to be at least this share of the points' own: well above rounding's 1e-16 (choice).
 LEAST = 1e-12
@@ -159,10 +160,6 @@ def minimize(H: FloatArray, h: FloatArray) -> tuple[FloatArray, bool, int]:
 def minimize_batch(H: FloatArray, h: FloatArray) -> Minima:
     """`minimize` for N costs, H (N, 9, 9) and h (N, 9): the same answers to the bit."""
     n = len(H)
-    # The kernels' limits are for H of mean eigenvalue 1.
-    scale = np.trace(H, axis1=1, axis2=2) / 9
-    scale = np.where(scale > 0, scale, 1.0)
-    H, h = H / scale[:, None, None], h / scale[:, None]
     candidates = np.full((n, len(_STARTS), 3, 3), np.nan)
     counts, iterations, certified = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.bool_)
     minimize_each(_plain(H), _plain(h), _STARTS, candidates, counts, certified, iterations)

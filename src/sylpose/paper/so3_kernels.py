@@ -13,15 +13,18 @@ from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, solve_fa
 __all__ = ["CERTIFICATE", "FLAT", "SAME", "STATIONARY", "derivatives_each", "minimize_each"]
 
 
-# K must be this much above singular, relative to H's mean eigenvalue of 1, to certify: well above rounding.
+# K must be this much above singular, relative to H's mean eigenvalue of 1, to certify: well above rounding
+# (choice).
 CERTIFICATE = 1e-9
-# Stationary to this: the largest tangent derivative of the cost, H's mean eigenvalue being 1.
+# Stationary to this: the largest tangent derivative of the cost, H's mean eigenvalue being 1:
+# the root of rounding (derived).
 STATIONARY = 1e-8
-# Curvature less negative than this is none.
+# Curvature less negative than this, relative to that mean, is none (choice).
 FLAT = 1e-6
-# Minima nearer than this (radians) are one; a minimum where two mirrored ones merge is found to some 1e-4 only.
+# Minima nearer than this (radians) are one; a minimum where two mirrored ones merge is found to some 1e-4 only
+# (derived: the cost is of fourth order there).
 SAME = 1e-3
-# Bounds on Newton's steps.
+# Bounds on Newton's steps; certified problems take three or four (choice).
 DUAL_STEPS, DIRECT_STEPS = 40, 100
 # The symmetric 3x3 matrices have the orthonormal basis (e_a e_b' + e_b e_a') / norm, (a, b) from these.
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
@@ -40,23 +43,39 @@ def minimize_each(
     """Minimises 1/2 r'Hr - h'r over SO(3) for N problems.
 
     Args:
-        H: (N, 9, 9) positive semidefinite of trace 9, h: (N, 9).
+        H: (N, 9, 9) positive semidefinite, h: (N, 9); scaled here, once, to a mean eigenvalue of 1, as the limits are for.
         starts: (S, 3, 3) of the search where the dual gives no certificate.
         candidates: (N, S, 3, 3) becomes the minima, best first, `counts` (N,) of them.
         certified: (N,) becomes whether the first is proved to be the global minimum; then it is the only one.
         iterations: (N,) becomes the number of Newton's steps.
     """
+    scaled_H, scaled_h = np.empty((9, 9)), np.empty(9)
     for n in range(H.shape[0]):
+        _scaled(H[n], h[n], scaled_H, scaled_h)
         counts[n] = 1
-        found, iterations[n] = _dual_newton(H[n], h[n], candidates[n, 0])
-        certified[n] = found and _is_certified(H[n], h[n], candidates[n, 0])
+        found, iterations[n] = _dual_newton(scaled_H, scaled_h, candidates[n, 0])
+        certified[n] = found and _is_certified(scaled_H, scaled_h, candidates[n, 0])
         if not certified[n]:
             # The dual can also creep along the boundary past a maximum inside: the certificate is asked for again.
-            counts[n], steps = _local_minima(H[n], h[n], starts, candidates[n])
+            counts[n], steps = _local_minima(scaled_H, scaled_h, starts, candidates[n])
             iterations[n] += steps
-            certified[n] = _is_certified(H[n], h[n], candidates[n, 0])
+            certified[n] = _is_certified(scaled_H, scaled_h, candidates[n, 0])
             if certified[n]:
                 counts[n] = 1
+
+
+@kernel
+def _scaled(H: FloatArray, h: FloatArray, scaled_H: FloatArray, scaled_h: FloatArray) -> None:
+    """Over H's mean eigenvalue; as they are where H is zero."""
+    scale = 0.0
+    for i in range(9):
+        scale += H[i, i] / 9.0
+    if not scale > 0.0:
+        scale = 1.0
+    for i in range(9):
+        scaled_h[i] = h[i] / scale
+        for j in range(9):
+            scaled_H[i, j] = H[i, j] / scale
 
 
 @kernel

@@ -24,20 +24,21 @@ from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 __all__ = ["Delays", "Pulse", "coarse_offsets", "image_speed", "small_grey", "split_offsets"]
 
 
-# Pictures are made this wide: speeds matter, not details.
+# Pictures are made this wide: speeds matter, not details (choice: time).
 WIDTH = 320
-# Corners that are followed, and how many are needed for a speed.
+# Corners that are followed, and how many are needed for a speed (choice).
 MAX_CORNERS, MIN_CORNERS = 200, 8
-# Grey levels by which a picture must change to be looked at, at least; and how many times the noise.
+# Grey levels by which a picture must change to be looked at, at least; and how many times the noise
+# (choice).
 MIN_CHANGE, CHANGE = 6.0, 4.0
-# Pixels from frame to frame below which speeds are not told apart.
+# Pixels from frame to frame below which speeds are not told apart (choice: what following corners is good to).
 STILL = 0.1
-# Two cameras are compared where at least so many samples, and this share of the shorter signal, overlap.
+# Two cameras are compared where at least so many samples, and this share of the shorter signal, overlap (choice).
 MIN_SAMPLES, MIN_OVERLAP = 20, 0.5
 # How probable a likeness by chance may be, over all lags; and by how many standard deviations it must surpass that of any
-# other lag that is a peak of its own.
+# other lag that is a peak of its own (choice).
 MAX_CHANCE, CLEARER = 1e-3, 2.0
-# Samples by which a pair may contradict the others before it is left out.
+# Samples by which a pair may contradict the others before it is left out (choice).
 AGREE = 1.5
 
 

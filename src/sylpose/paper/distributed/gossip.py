@@ -39,10 +39,11 @@ from sylpose.paper.so3 import minimize
 __all__ = ["GossipState", "gossip_start", "gossip_step"]
 
 
-RELAXATION = 0.8
-STILL = 1e-12  # change, relative to x, that is none
+RELAXATION = 0.8  # share of the news in z: below 1 for lost and late messages (choice)
+STILL = 1e-12  # change, relative to x, that is none: well above rounding's 1e-16 (choice)
 # Rotations are as good as the best up to this much more cost: each camera has another mean, by rounding. Of mirrored ones
-# all take that with the largest sum of entries, weighted by numbers that no mirror leaves alike.
+# all take that with the largest sum of entries, weighted by numbers that no mirror leaves alike
+# (choice: well above rounding's 1e-16).
 EQUAL = 1e-10
 _ORDER = np.sqrt([2.0, 3, 5, 7, 11, 13, 17, 19, 23]).reshape(3, 3)
 

@@ -14,8 +14,9 @@ __all__ = ["HEADER", "Inbox", "Message", "Packet", "decode", "encode", "newest",
 
 Inbox = Sequence[tuple[int, bytes]]  # (the camera that a link leads to, what came over it)
 
+# Number of values, flags, sender, round: 8 bytes.
 HEADER = struct.Struct("<BBHI")
-LARGEST = 1e30  # no value comes near it
+LARGEST = 1e30  # no value comes near it, and its square is in range (choice)
 
 
 class Packet(NamedTuple):

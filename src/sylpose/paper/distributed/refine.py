@@ -60,16 +60,22 @@ from sylpose.paper.so3 import FLAT, LEAST, Quadratic, derivatives
 __all__ = ["PATIENCE", "RefineState", "refine_start", "refine_step"]
 
 
-PENALTY = 0.1  # p_c over trace(H_c)
-RELAXATION = 1.6
-MEMORY = 10  # rounds that the extrapolation looks back
-SETTLED = 1e-11  # relative change of a message that is none
-PATIENCE = 20  # rounds of silence after which a camera is gone
-LEAPS = 5  # off a saddle, at most so often
-HUGE = 1e3  # a message this many times the median of all is nonsense
-WANDERING = 0.3  # mean relative change of the messages of a camera that never settles
+# p_c over trace(H_c), and over-relaxation (measured: docs/benchmarks.md#distributed, plain and extrapolated).
+PENALTY, RELAXATION = 0.1, 1.6
+# Rounds that the extrapolation looks back: more than the 9 unknowns of a rotation's matrix (choice).
+MEMORY = 10
+# Relative change of a message that is none: well above rounding's 1e-16, well below 1e-8 rad (choice).
+SETTLED = 1e-11
+# Rounds of silence after which a camera is gone: at 30 % of loss once in 3e10 (derived).
+PATIENCE = 20
+# Leaps off a saddle, at most (choice).
+LEAPS = 5
+# A message this many times the median of all is nonsense: cameras have that many times more matches at most (choice).
+HUGE = 1e3
+# Mean relative change of the messages of a camera that never settles; random rotations make 1.4 (choice).
+WANDERING = 0.3
 
-SIZES = (9, 18, 23)  # V, report, curve
+SIZES = (9, 18, 23)  # V, report, curve: 9, 9 and 5 numbers (derived)
 
 _UPPER = np.triu_indices(3)
 

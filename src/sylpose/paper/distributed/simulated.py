@@ -33,7 +33,7 @@ __all__ = ["Agreement", "Disturbances", "Nonsense", "run", "solve_exchange", "so
 
 Nonsense = Literal["nan", "huge", "long", "truncated", "false"]
 
-AGREED = 1e-7  # radians between the answers of cameras that agree
+AGREED = 1e-7  # radians between the answers of cameras that agree: ten times what is asked of each (choice)
 
 
 @dataclass(frozen=True)
