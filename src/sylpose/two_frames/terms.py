@@ -24,7 +24,17 @@ from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.compiled import kernel
 from sylpose.rig import nearest_point_to_rays
 
-__all__ = ["SURFACE", "Stack", "TermData", "object_place", "stack_terms"]
+__all__ = [
+    "SURFACE",
+    "Candidate",
+    "Guesses",
+    "Stack",
+    "TermData",
+    "copy_into",
+    "guesses_of",
+    "object_place",
+    "stack_terms",
+]
 
 
 # Unknowns of a term's surface: the inverse depth, in units of that of g, is α·(1, p, q, p², pq, q²) with (p, q) the place in
@@ -120,6 +130,43 @@ class Stack(NamedTuple):
     plane_sd: FloatArray
     plane_relief: FloatArray
     focal: FloatArray
+
+
+class Candidate(NamedTuple):
+    """A motion and the terms' surfaces: what a solver starts from and, in place, comes to.
+
+    Attributes:
+        rotation: (3, 3) R.
+        shift: (3,) d.
+        surface: (T, 6) α, or (T, 3) of a plane, for a first look.
+    """
+
+    rotation: FloatArray
+    shift: FloatArray
+    surface: FloatArray
+
+    def copied(self) -> Candidate:
+        """The same, in arrays of its own."""
+        return Candidate(self.rotation.copy(), self.shift.copy(), self.surface.copy())
+
+
+@kernel
+def copy_into(to: Candidate, source: Candidate) -> None:
+    """to becomes equal to source."""
+    to.rotation[:], to.shift[:], to.surface[:] = source.rotation, source.shift, source.surface
+
+
+class Guesses(NamedTuple):
+    """G motions to start from besides the built-in ones: rotations (G, 3, 3), shifts (G, 3)."""
+
+    rotations: FloatArray
+    shifts: FloatArray
+
+
+def guesses_of(motions: Sequence[tuple[FloatArray, FloatArray]]) -> Guesses:
+    """Motions (R, d) as arrays."""
+    rotations, shifts = [r for r, _ in motions], [d for _, d in motions]
+    return Guesses(np.array(rotations, dtype=float).reshape(-1, 3, 3), np.array(shifts, dtype=float).reshape(-1, 3))
 
 
 def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> Stack:
