@@ -1,4 +1,4 @@
-"""How many rounds and bytes the distributed estimators take, on what cameras, networks and faults; as Markdown.
+"""How many rounds and bytes the distributed estimators take, on what cameras, networks and disturbances; as Markdown.
 
     python benchmarks/consensus.py [--seeds 5] [--shared ../shared]
 
@@ -29,9 +29,9 @@ from sylpose.paper.distributed import refine as consensus
 from sylpose.paper.distributed.messages import Inbox, Packet
 from sylpose.paper.distributed.refine import RefineState, refine_start, refine_step
 from sylpose.paper.distributed.simulated import (
-    NO_FAULTS,
+    UNDISTURBED,
     Agreement,
-    Faults,
+    Disturbances,
     Nonsense,
     run,
     solve_exchange,
@@ -90,7 +90,7 @@ def rounds_to(problem: Problem, tolerance: float = 1e-8, bound: int = 2000) -> i
 
     n = len(Q)
     starts = [partial(refine_start, c, range(n), Q[c], moments[c], bound=bound) for c in range(n)]
-    run(starts, watched, NO_FAULTS, bound)
+    run(starts, watched, UNDISTURBED, bound)
     return min(last + 1, bound)
 
 
@@ -160,7 +160,7 @@ def by_loss(seeds: int) -> None:
             for loss in losses:
                 rounds, same = [], 0
                 for seed, (Q, moments, _) in enumerate(problems(make(n), min(seeds, 3))):
-                    found = solve_refine(Q, moments, faults=Faults(loss=loss, seed=seed))
+                    found = solve_refine(Q, moments, disturbances=Disturbances(loss=loss, seed=seed))
                     same += bool(
                         found.converged.all() and (found.rotations == solve_refine(Q, moments).rotations).all()
                     )
@@ -214,32 +214,32 @@ def by_fault(seeds: int) -> None:
     """All schemes with loss, delay and broken cameras."""
     n = 8
     pairs = [(a, b) for a in range(n) for b in range(a)]
-    faults: dict[str, Faults] = {
-        "none": NO_FAULTS,
-        **{f"loss {p} %": Faults(loss=p / 100) for p in (1, 5, 10, 20, 30)},
-        **{f"delay up to {d}": Faults(delay=d) for d in (1, 2, 4)},
-        "loss 20 %, delay up to 2": Faults(loss=0.2, delay=2),
-        "one dies in round 5": Faults(dies={3: 5}),
-        "one joins in round 5": Faults(joins={3: 5}),
-        **{f"one sends {kind}": Faults(nonsense={3: kind}) for kind in get_args(Nonsense)},
+    disturbances: dict[str, Disturbances] = {
+        "none": UNDISTURBED,
+        **{f"loss {p} %": Disturbances(loss=p / 100) for p in (1, 5, 10, 20, 30)},
+        **{f"delay up to {d}": Disturbances(delay=d) for d in (1, 2, 4)},
+        "loss 20 %, delay up to 2": Disturbances(loss=0.2, delay=2),
+        "one dies in round 5": Disturbances(dies={3: 5}),
+        "one joins in round 5": Disturbances(joins={3: 5}),
+        **{f"one sends {kind}": Disturbances(nonsense={3: kind}) for kind in get_args(Nonsense)},
     }
-    print(f"\n## Faults: dome of {n}, all within reach of each other\n")
+    print(f"\n## Disturbances: dome of {n}, all within reach of each other\n")
     print(
         "Error: largest angle (rad) to the centralised answer of the cameras in the result. Exchange: sent 16 times.\n"
     )
     print("| fault | exchange: ok, error | refine: ok, error, rounds | gossip: ok, error, rounds |\n|---|---|---|---|")
-    for name, fault in faults.items():
+    for name, disturbance in disturbances.items():
         cells: list[str] = []
         for solve in (partial(solve_exchange, rounds=16), solve_refine, partial(solve_gossip, graph=pairs)):
             ok, worst, rounds = 0, 0.0, []
             for seed, (Q, moments, _) in enumerate(problems(dome(n), seeds)):
-                found = solve(Q, moments, faults=replace(fault, seed=seed))
+                found = solve(Q, moments, disturbances=replace(disturbance, seed=seed))
                 ok += found.status is Status.OK
                 rounds.append(found.rounds)
                 if found.status is Status.OK:
                     used = list(found.used)
                     reference = solve_centralized(Q[used], [moments[c] for c in used])
-                    judged = [c for c in range(n) if c not in found.refused and c not in fault.dies]
+                    judged = [c for c in range(n) if c not in found.refused and c not in disturbance.dies]
                     worst = max(worst, error(found, reference, judged))
             cell = f"{ok}/{seeds}, {worst:.0e}" if ok else f"0/{seeds}"
             cells.append(cell if not cells else f"{cell}, {spread(rounds)}")
@@ -268,7 +268,7 @@ def by_graph(seeds: int) -> None:
             for loss in (0.0, 0.3) if n == 16 else (0.0,):
                 ok, worst, rounds, sent = 0, 0.0, [], []
                 for seed, (Q, moments, reference) in enumerate(problems(dome(n), min(seeds, 3))):
-                    found = solve_gossip(Q, moments, graph=pairs, faults=Faults(loss=loss, seed=seed))
+                    found = solve_gossip(Q, moments, graph=pairs, disturbances=Disturbances(loss=loss, seed=seed))
                     ok += found.status is Status.OK
                     worst = max(worst, error(found, reference, range(n)))
                     rounds.append(found.rounds)
@@ -279,7 +279,7 @@ def by_graph(seeds: int) -> None:
 
 def by_scheme() -> None:
     """Bytes and time side by side."""
-    print("\n## Bytes and time: dome, no faults, gossip on a ring\n")
+    print("\n## Bytes and time: dome, undisturbed, gossip on a ring\n")
     print("| cameras | scheme | rounds | bytes sent per camera | ms, all cameras | ms per camera and round |")
     print("|---|---|---|---|---|---|")
     for n in (4, 16, 32):
@@ -298,7 +298,7 @@ def main() -> None:
     parser.add_argument("--shared", type=Path, default=Path(__file__).parents[2] / "shared")
     options = parser.parse_args()
     seeds = options.seeds
-    print("# Consensus: rounds, bytes, faults\n")
+    print("# Consensus: rounds, bytes, disturbances\n")
     by_rig(seeds)
     by_penalty(seeds)
     by_loss(seeds)

@@ -17,7 +17,7 @@ from sylpose.results import Status
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, DemoTruth, Scene, TexturedBody, demo_scene, demo_truth, render_frames
 from sylpose.simulate.render import Path
-from sylpose.tracking.tracker import TrackedFrame
+from sylpose.tracking.tracked_frame import TrackedFrame
 
 Images = Sequence[Image | None]
 Masks = Sequence[BoolArray | None]

@@ -11,10 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import covariance_of
+from sylpose.paper.depth_plane import solve_depth_plane
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
-from sylpose.results import FramePose, Motion, Status, Trajectory
+from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory
 from sylpose.rig import camera_at
 from sylpose.simulate import ellipsoid, random_motion, ring, simulate_matches
 from sylpose.two_frames.motion import estimate_motion
@@ -192,7 +194,12 @@ def test_pan_tilt_and_roll_are_turns_about_the_cameras_own_axes() -> None:
     for axis, expected in ((1, [0.3, 0, 0]), (0, [0, 0.3, 0]), (2, [0, 0, 0.3])):
         about = camera.rotation.inv().apply(np.eye(3)[axis])
         turn = Rotation.from_rotvec(0.3 * about).as_matrix()
-        np.testing.assert_allclose(view_of_rotation(turn, np.eye(3), camera).pan_tilt_roll, expected, atol=1e-12)
+        view = view_of_rotation(estimate_of(turn, np.eye(3)), camera)
+        np.testing.assert_allclose(view.pan_tilt_roll, expected, atol=1e-12)
+
+
+def estimate_of(rotation: FloatArray, information: FloatArray) -> RotationEstimate:
+    return RotationEstimate(Status.TURN_NOT_OBSERVABLE, rotation, information, np.eye(3)[:1], 1)
 
 
 # --- A rotation alone -------------------------------------------------------------------------------------------------
@@ -208,19 +215,29 @@ def test_a_rotation_alone_is_seen_as_that_of_the_motion(seed: int) -> None:
     assert motion.motion is not None
     whole = view_of_motion(motion, camera)
     assert whole.motion is not None
-    alone = view_of_rotation(motion.motion.rotation.as_matrix(), information[:3, :3], camera)
+    alone = view_of_rotation(estimate_of(motion.motion.rotation.as_matrix(), information[:3, :3]), camera)
     np.testing.assert_allclose(alone.rotation, whole.motion.rotation.as_matrix(), atol=1e-12)
     np.testing.assert_allclose(alone.information, whole.information[:3, :3], atol=1e-9)
     np.testing.assert_allclose(alone.covariance, whole.covariance[:3, :3], atol=1e-9)
     np.testing.assert_allclose(alone.pan_tilt_roll, whole.pan_tilt_roll, atol=1e-9)
+    np.testing.assert_allclose(alone.unseen, camera.rotation.apply(np.eye(3)[:1]), atol=1e-12)
+
+
+def test_without_an_answer_there_is_none_in_any_view() -> None:
+    nothing = solve_depth_plane(np.array([np.eye(3)] * 2), [PairMoments.zero()] * 2)
+    view = view_of_rotation(nothing, random_transform(np.random.default_rng(0)))
+    assert view.status is nothing.status is Status.TOO_FEW_MATCHES
+    assert np.isnan(view.rotation).all()
+    assert np.isnan(view.pan_tilt_roll).all()
+    assert (np.diag(view.covariance) == np.inf).all()
 
 
 def test_bad_rotations_are_refused() -> None:
     world = RigidTransform.identity()
     with pytest.raises(ValueError, match="not a rotation matrix"):
-        view_of_rotation(2 * np.eye(3), np.eye(3), world)
+        view_of_rotation(estimate_of(2 * np.eye(3), np.eye(3)), world)
     with pytest.raises(ValueError, match=r"information must be \(3, 3\) and finite"):
-        view_of_rotation(np.eye(3), np.full((3, 3), np.nan), world)
+        view_of_rotation(estimate_of(np.eye(3), np.full((3, 3), np.nan)), world)
 
 
 # --- Poses and trajectories -------------------------------------------------------------------------------------------

@@ -6,6 +6,15 @@
     for frame in track(session.frames(), session.rig, session.boxes):
         print(frame.pose.time, frame.pose.status.text, frame.pose.world_from_object)
 
+The files at the root are the nouns: a rig of cameras, the frames they saw, matches, their moments, results. Each folder is
+one thing that can be done with them. `paper` is Chen and Schonfeld: a rotation from orthographic second moments by
+Sylvester's equation, by one camera, by all, or `distributed` among them. `two_frames` is the same question in perspective,
+with six unknowns and outliers. `known_model` asks where an object of known points is. `features` finds and follows points.
+`landmarks` knows where they are on the object, better from frame to frame. `tracking` puts these together frame by frame,
+`smoothing` does all frames at once, afterwards. None of these reads or writes a file: `calibration`, `capture`, `report` do.
+`simulate` makes scenes with known truth, `experiments` repeats the paper's, `app` and `cli` are the commands. docs/map.md
+has the whole tree.
+
 The names below are loaded when they are first used, so that `import sylpose` itself takes no time.
 """
 
@@ -14,43 +23,72 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sylpose.app.run import Run, track_session
-    from sylpose.capture import Session, open_session
+    from sylpose.capture import Session, Source, Timeline, open_session
+    from sylpose.capture.live import LiveSession, open_live
+    from sylpose.capture.streams import Device, Grab
     from sylpose.frames import Box, FrameSet
     from sylpose.known_model.pose import estimate_pose
     from sylpose.matches import Matches
     from sylpose.moments import PairMoments
-    from sylpose.paper.bad_cameras import solve_robust
-    from sylpose.paper.centralized import solve_centralized, solve_centralized_batch
-    from sylpose.paper.depth_plane import solve_depth_plane
-    from sylpose.paper.distributed.simulated import solve_exchange, solve_gossip, solve_refine
-    from sylpose.paper.equation import solve_generalized_sylvester, solve_sylvester
-    from sylpose.paper.known_depth import solve_2d3d, solve_3d3d
-    from sylpose.paper.one_camera import solve_one_camera
-    from sylpose.results import FramePose, Motion, Status, Trajectory
+    from sylpose.paper.bad_cameras import Diagnosis, Fault, RobustSolution, solve_robust
+    from sylpose.paper.centralized import (
+        CentralizedBatch,
+        CentralizedSolution,
+        solve_centralized,
+        solve_centralized_batch,
+    )
+    from sylpose.paper.depth_plane import DepthPlaneSolution, solve_depth_plane
+    from sylpose.paper.distributed.simulated import Agreement, Disturbances, solve_exchange, solve_gossip, solve_refine
+    from sylpose.paper.equation import SingularSylvesterError, solve_generalized_sylvester, solve_sylvester
+    from sylpose.paper.known_depth import KnownDepthSolution, solve_2d3d, solve_3d3d
+    from sylpose.paper.one_camera import OneCameraSolution, solve_one_camera
+    from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory
     from sylpose.rig import Camera, Rig
-    from sylpose.tracking.tracker import TrackedFrame, track
+    from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
+    from sylpose.tracking.tracker import track
     from sylpose.two_frames.motion import estimate_motion, estimate_motions
-    from sylpose.view import trajectory_view, view_of_motion
+    from sylpose.view import MotionView, RotationView, trajectory_view, view_of_motion, view_of_pose, view_of_rotation
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
+    "Agreement",
     "Box",
     "Camera",
+    "CentralizedBatch",
+    "CentralizedSolution",
+    "DepthPlaneSolution",
+    "Device",
+    "Diagnosis",
+    "Disturbances",
+    "Fault",
     "FramePose",
     "FrameSet",
+    "Grab",
+    "KnownDepthSolution",
+    "LiveSession",
     "Matches",
     "Motion",
+    "MotionView",
+    "OneCameraSolution",
     "PairMoments",
     "Rig",
+    "RobustSolution",
+    "RotationEstimate",
+    "RotationView",
     "Run",
     "Session",
+    "Sightings",
+    "SingularSylvesterError",
+    "Source",
     "Status",
+    "Timeline",
     "TrackedFrame",
     "Trajectory",
     "estimate_motion",
     "estimate_motions",
     "estimate_pose",
+    "open_live",
     "open_session",
     "solve_2d3d",
     "solve_3d3d",
@@ -68,28 +106,50 @@ __all__ = [
     "track_session",
     "trajectory_view",
     "view_of_motion",
+    "view_of_pose",
+    "view_of_rotation",
 ]
 
 _HOMES = {
     "sylpose.app.run": ("Run", "track_session"),
-    "sylpose.capture": ("Session", "open_session"),
+    "sylpose.capture": ("Session", "Source", "Timeline", "open_session"),
+    "sylpose.capture.live": ("LiveSession", "open_live"),
+    "sylpose.capture.streams": ("Device", "Grab"),
     "sylpose.frames": ("Box", "FrameSet"),
     "sylpose.known_model.pose": ("estimate_pose",),
     "sylpose.matches": ("Matches",),
     "sylpose.moments": ("PairMoments",),
-    "sylpose.paper.bad_cameras": ("solve_robust",),
-    "sylpose.paper.centralized": ("solve_centralized", "solve_centralized_batch"),
-    "sylpose.paper.depth_plane": ("solve_depth_plane",),
-    "sylpose.paper.distributed.simulated": ("solve_exchange", "solve_gossip", "solve_refine"),
-    "sylpose.paper.equation": ("solve_generalized_sylvester", "solve_sylvester"),
-    "sylpose.paper.known_depth": ("solve_2d3d", "solve_3d3d"),
-    "sylpose.paper.one_camera": ("solve_one_camera",),
-    "sylpose.results": ("FramePose", "Motion", "Status", "Trajectory"),
+    "sylpose.paper.bad_cameras": ("Diagnosis", "Fault", "RobustSolution", "solve_robust"),
+    "sylpose.paper.centralized": (
+        "CentralizedBatch",
+        "CentralizedSolution",
+        "solve_centralized",
+        "solve_centralized_batch",
+    ),
+    "sylpose.paper.depth_plane": ("DepthPlaneSolution", "solve_depth_plane"),
+    "sylpose.paper.distributed.simulated": (
+        "Agreement",
+        "Disturbances",
+        "solve_exchange",
+        "solve_gossip",
+        "solve_refine",
+    ),
+    "sylpose.paper.equation": ("SingularSylvesterError", "solve_generalized_sylvester", "solve_sylvester"),
+    "sylpose.paper.known_depth": ("KnownDepthSolution", "solve_2d3d", "solve_3d3d"),
+    "sylpose.paper.one_camera": ("OneCameraSolution", "solve_one_camera"),
+    "sylpose.results": ("FramePose", "Motion", "RotationEstimate", "Status", "Trajectory"),
     "sylpose.rig": ("Camera", "Rig"),
-    "sylpose.tracking.tracked_frame": ("TrackedFrame",),
+    "sylpose.tracking.tracked_frame": ("Sightings", "TrackedFrame"),
     "sylpose.tracking.tracker": ("track",),
     "sylpose.two_frames.motion": ("estimate_motion", "estimate_motions"),
-    "sylpose.view": ("trajectory_view", "view_of_motion"),
+    "sylpose.view": (
+        "MotionView",
+        "RotationView",
+        "trajectory_view",
+        "view_of_motion",
+        "view_of_pose",
+        "view_of_rotation",
+    ),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 

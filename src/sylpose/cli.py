@@ -6,17 +6,12 @@ import functools
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ParamSpec
+from typing import Annotated, NoReturn, ParamSpec
 
 import typer
 
 from sylpose import __version__
-from sylpose.methods import FEATURES, METHODS
-
-if TYPE_CHECKING:
-    from sylpose.app.run import Run
-    from sylpose.capture import Session
-    from sylpose.capture.live import LiveSession
+from sylpose.methods import FEATURES, METHODS, features_of, summary
 
 # Everything else is imported where it is used: the tracker and matplotlib take a second each, which `--help` does not need.
 
@@ -140,7 +135,8 @@ def _one_of(choices: Sequence[str]) -> Callable[[str], str]:
 
 
 @app.command(
-    epilog=examples(
+    epilog=f"\b\n{summary()}\n\n"
+    + examples(
         "sylpose track recording",
         "sylpose track recording --boxes first_frame.toml --out results",
         "sylpose track recording --start 100 --stop 400 --every 2 --offset cam_2=5",
@@ -161,13 +157,14 @@ def track(
         ),
     ] = None,
     method: Annotated[
-        str, typer.Option(metavar="|".join(METHODS), help="How the motion is estimated.", callback=_one_of(METHODS))
+        str,
+        typer.Option(metavar="|".join(METHODS), help="How it is estimated; see below.", callback=_one_of(METHODS)),
     ] = METHODS[0],
     features: Annotated[
         str,
         typer.Option(
             metavar="|".join(FEATURES),
-            help="SIFT in every frame, or KLT between SIFT keyframes: faster and finer; auto: KLT for the method landmarks.",
+            help="SIFT in every frame, or KLT between SIFT keyframes: faster and finer; auto: KLT for landmarks, else SIFT.",
             callback=_one_of(FEATURES),
         ),
     ] = FEATURES[0],
@@ -202,15 +199,14 @@ def track(
     masks, the object is what moves against the standing background.
     """
     from sylpose.app.aloud import track_aloud, why_nothing
+    from sylpose.app.opening import open_asked
     from sylpose.app.run import has_ended, output_path
-    from sylpose.capture.live import is_live
     from sylpose.sync.offsets import find_offsets
 
-    opened: Session | LiveSession
-    if follow or is_live(session):
-        opened = _open_live(session, calibration, boxes, masks, offset, resume, follow, lossless, rate)
-    else:
-        opened = _open(session, calibration, boxes, masks, offset, lossless, rate)
+    features_of(method, features)
+    opened = open_asked(
+        session, calibration, boxes, masks, offset, resume=resume, follow=follow, lossless=lossless, rate=rate
+    )
     if resume and has_ended(opened, out):
         print(f"{output_path(opened, out)}: the run there has ended; there is nothing to resume")
         return
@@ -229,69 +225,17 @@ def track(
         checkpoint_seconds=checkpoint,
         seed=seed,
     )
-    _refuse_nothing(why_nothing(opened, run), run)
-
-
-def _refuse_nothing(missing: list[str], run: Run) -> None:
-    """Says which objects were not found; when it is all of them, that is a failure."""
+    missing = why_nothing(opened, run)
+    if len(missing) == len(run.trajectories):
+        _fail(missing)
     for sentence in missing:
         _say(sentence)
-    if len(missing) == len(run.trajectories):
-        raise typer.Exit(FAILED)
 
 
-def _open(
-    path: Path,
-    calibration: Path | None,
-    boxes: Path | None,
-    masks: Path | None,
-    offset: list[str] | None,
-    lossless: bool,
-    rate: float | None,
-) -> Session:
-    from sylpose.capture import open_session
-
-    for option, value in (("--lossless", lossless), ("--rate", rate)):
-        if value:
-            raise ValueError(f"{option} is only for growing folders, with --follow")
-    return open_session(path, calibration=calibration, boxes=boxes, masks=masks, offsets=_offsets(offset))
-
-
-def _open_live(
-    path: Path,
-    calibration: Path | None,
-    boxes: Path | None,
-    masks: Path | None,
-    offset: list[str] | None,
-    resume: bool,
-    follow: bool,
-    lossless: bool,
-    rate: float | None,
-) -> LiveSession:
-    from sylpose.capture.live import open_live
-
-    if offset:
-        raise ValueError(
-            "--offset: frames of live cameras belong together by their times; --offsets FILE is for delays"
-        )
-    if resume:
-        raise ValueError("--resume: a live session cannot be gone back to")
-    return open_live(
-        path, calibration=calibration, boxes=boxes, masks=masks, follow=follow, lossless=lossless, rate=rate
-    )
-
-
-def _offsets(given: list[str] | None) -> dict[str, int] | None:
-    offsets = {}
-    for text in given or ():
-        camera, _, frames = text.rpartition("=")
-        try:
-            offsets[camera] = int(frames)
-        except ValueError:
-            camera = ""
-        if not camera:
-            raise ValueError(f"--offset: CAMERA=FRAMES is expected, such as cam_2=5, got {text!r}")
-    return offsets or None
+def _fail(sentences: Sequence[str]) -> NoReturn:
+    for sentence in sentences:
+        _say(sentence)
+    raise typer.Exit(FAILED)
 
 
 @app.command(
@@ -311,29 +255,10 @@ def check(
 
     Draws the rig from above and from the side into OUT/rig.png.
     """
-    from sylpose.app import check, text
-    from sylpose.capture import open_session
-    from sylpose.report.files import output_folder
-    from sylpose.report.rigview import describe_rig, plot_rig
+    from sylpose.app.check import check_aloud
+    from sylpose.app.opening import open_recorded
 
-    opened = open_session(session, calibration=calibration, boxes=boxes, masks=masks, offsets=_offsets(offset))
-    picture = output_folder(opened.path / "sylpose" if out is None else out) / "rig.png"
-    places = {name: check.object_place(opened.of(name)) for name in opened.objects}
-    place = next(iter(places.values()))
-    console = text.make_console()
-    console.print(text.headline(opened))
-    console.print()
-    text.print_table(console, text.RIG_HEADER, text.rig_rows(opened, describe_rig(opened.rig, place.center)))
-    console.print()
-    text.print_facts(console, check.facts(opened, places))
-    plot_rig(opened.rig, picture, place.center if place.radius else None, place.radius)
-    text.print_files(console, "Picture", [picture])
-    console.print()
-    found = check.warnings(opened, places)
-    text.print_warnings(console, found)
-    if obstacles := check.obstacles(places):
-        raise ValueError("; ".join(obstacles))
-    console.print("Ready to track." if not found else "Can be tracked; see the warnings above.")
+    check_aloud(open_recorded(session, calibration, boxes, masks, offset), out)
 
 
 @app.command(
@@ -360,8 +285,7 @@ def sync(
 
     opened = open_session(session, calibration=calibration, boxes=boxes, masks=masks)
     if set(sync_aloud(opened, out, max_lag=max_lag, start=start, stop=stop, seed=seed).known) == {Known.NOT}:
-        _say("no offset could be found; nothing was written")
-        raise typer.Exit(FAILED)
+        _fail(["no offset could be found; nothing was written"])
 
 
 @app.command(
@@ -383,26 +307,10 @@ def demo(
     A painted block turns and drifts in front of some cameras. Exit code 0 when its motion was found in all frames to
     within 2 degrees.
     """
-    from sylpose.app import text
-    from sylpose.app.aloud import track_aloud, why_nothing
-    from sylpose.app.demo import MAX_ERROR_DEG, render_demo, score
-    from sylpose.capture import open_session
-    from sylpose.report.files import read_tum
+    from sylpose.app.demo import demo_aloud
 
-    console = text.make_console()
-    with console.status(f"Rendering {frames} frames of {cameras} cameras ..."):
-        truth = render_demo(out, frames=frames, turn_deg=turn, n_cameras=cameras, seed=seed)
-    session = open_session(out)
-    run = track_aloud(session, None, seed=seed)
-    _refuse_nothing(why_nothing(session, run), run)
-    result = score(
-        *read_tum(run.files[0]), *read_tum(out / "groundtruth.tum"), center=truth.world_from_object[0].translation
-    )
-    console.print()
-    text.print_score(console, result, run.trajectory.unit)
-    if result.missing or result.rotation.max() > MAX_ERROR_DEG:
-        _say(f"the demo did not come out right: {result.missing} frames missing, errors above")
-        raise typer.Exit(FAILED)
+    if failures := demo_aloud(out, frames=frames, turn_deg=turn, n_cameras=cameras, seed=seed):
+        _fail(failures)
 
 
 @app.command(
@@ -437,20 +345,9 @@ def view(
 
     Writes view_CAMERA.tum (camera_from_object), view_CAMERA.csv and view_CAMERA.png.
     """
-    from sylpose.app import text
-    from sylpose.app.view import calibration_of, looked_up, read_result, standing, write_view
+    from sylpose.app.view import view_aloud
 
-    trajectory = read_result(result)
-    if eye is not None:
-        if calibration is not None:
-            raise ValueError("--from places a camera, --calibration looks one up: give one of them")
-        viewpoint = standing(camera, eye, at, trajectory)
-    elif at is not None:
-        raise ValueError("--at needs --from X Y Z: where the camera stands")
-    else:
-        viewpoint = looked_up(camera, calibration_of(result, calibration))
-    folder = out if out is not None else result if result.is_dir() else result.parent
-    text.print_files(text.make_console(), "Files", write_view(trajectory, camera, viewpoint, folder))
+    view_aloud(result, camera, calibration, eye, at, out)
 
 
 @app.command(

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.matrices import covariance_of
 
-__all__ = ["FramePose", "Motion", "Status", "Trajectory"]
+__all__ = ["FramePose", "Motion", "RotationEstimate", "Status", "Trajectory", "pan_tilt_roll"]
 
 
 class Status(Enum):
@@ -110,6 +111,37 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
+class RotationEstimate:
+    """A rotation and how well it is known: what every estimator of the paper's answers, with more of its own.
+
+    Attributes:
+        status: look at it first.
+        rotation: (3, 3) R, X_j = R X_i + t in the world frame: the best guess where a part of the turn is not observable,
+            NaN without any.
+        information: (3, 3) of w, R = exp(w) R̂, world axes, 1/rad². It shows the directions that cannot be observed, and
+            knows nothing of a model's bias. Zero without an answer.
+        unseen: (k, 3) unit directions of w that are not seen (docs/conventions.md, "Limits").
+        iterations: of the solver; rounds, of those that exchange messages.
+    """
+
+    status: Status
+    rotation: FloatArray
+    information: FloatArray
+    unseen: FloatArray
+    iterations: int
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(3, 3) the inverse of `information`; infinite variances on the axes that share an unknown direction."""
+        return covariance_of(self.information)
+
+
+def pan_tilt_roll(rotation: Rotation) -> FloatArray:
+    """(3,) radians, R = R_y(pan) R_x(tilt) R_z(roll) (docs/conventions.md)."""
+    return np.asarray(rotation.as_euler("YXZ", suppress_warnings=True))
+
+
+@dataclass(frozen=True, eq=False)
 class FramePose:
     """The object's pose in one frame.
 
@@ -146,7 +178,7 @@ class FramePose:
         """(3,) radians, R = R_y(pan) R_x(tilt) R_z(roll) (docs/conventions.md); NaN without a pose."""
         if self.world_from_object is None:
             return np.full(3, np.nan)
-        return np.asarray(self.world_from_object.rotation.as_euler("YXZ", suppress_warnings=True))
+        return pan_tilt_roll(self.world_from_object.rotation)
 
     @property
     def position(self) -> FloatArray:

@@ -16,13 +16,12 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import checked_rotations, covariance_of
-from sylpose.results import FramePose, Motion, Status, Trajectory
+from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory, pan_tilt_roll
 from sylpose.rig import Camera, Rig
 
 __all__ = [
@@ -66,7 +65,7 @@ class MotionView:
     @property
     def pan_tilt_roll(self) -> FloatArray:
         """(3,) radians of the turn as the camera has it, R = R_y(pan) R_x(tilt) R_z(roll); NaN without a motion."""
-        return np.full(3, np.nan) if self.motion is None else _pan_tilt_roll(self.motion.rotation)
+        return np.full(3, np.nan) if self.motion is None else pan_tilt_roll(self.motion.rotation)
 
     @property
     def displacement(self) -> FloatArray:
@@ -80,25 +79,20 @@ class MotionView:
 
 
 @dataclass(frozen=True, eq=False)
-class RotationView:
-    """A rotation of the object in one camera's axes.
+class RotationView(RotationEstimate):
+    """An estimate of the object's rotation in one camera's axes: R_c = Q R Q', and so its information.
 
     Attributes:
         camera_from_world: of the camera; only its rotation matters.
-        rotation: (3, 3) R_c = Q R Q'.
-        information: (3, 3) of w, R_c = exp(w) R̂_c, the camera's axes, 1/rad².
-        covariance: (3, 3) its inverse; infinite variance about axes about which something is not known.
     """
 
     camera_from_world: RigidTransform
-    rotation: FloatArray
-    information: FloatArray
-    covariance: FloatArray
 
     @property
     def pan_tilt_roll(self) -> FloatArray:
-        """(3,) radians, R_c = R_y(pan) R_x(tilt) R_z(roll)."""
-        return _pan_tilt_roll(Rotation.from_matrix(self.rotation))
+        """(3,) radians, R_c = R_y(pan) R_x(tilt) R_z(roll); NaN without an answer."""
+        found = np.isfinite(self.rotation).all()
+        return pan_tilt_roll(Rotation.from_matrix(self.rotation)) if found else np.full(3, np.nan)
 
 
 def view_of_motion(motion: Motion, camera: Viewpoint, *, rig: Rig | None = None) -> MotionView:
@@ -126,27 +120,32 @@ def view_of_motion(motion: Motion, camera: Viewpoint, *, rig: Rig | None = None)
     )
 
 
-def view_of_rotation(
-    rotation: ArrayLike, information: ArrayLike, camera: Viewpoint, *, rig: Rig | None = None
-) -> RotationView:
+def view_of_rotation(estimate: RotationEstimate, camera: Viewpoint, *, rig: Rig | None = None) -> RotationView:
     """A rotation as a camera has it: of the estimators that give no translation (`solve_centralized` and its kin).
 
     Args:
-        rotation: (3, 3) R, world axes.
-        information: (3, 3) of w, R = exp(w) R̂, world axes.
+        estimate: of any of them; or a `RotationEstimate` of one's own.
         camera, rig: as in `view_of_motion`.
 
     Raises:
-        ValueError: as `view_of_motion`; a matrix that is no rotation, an information that is not (3, 3) or not finite.
+        ValueError: as `view_of_motion`; a matrix that is neither a rotation nor NaN, an information that is not (3, 3)
+            and finite.
     """
-    R = checked_rotations(np.asarray(rotation, dtype=float)[None], 1)[0]
-    info = np.asarray(information, dtype=float)
-    if info.shape != (3, 3) or not np.isfinite(info).all():
-        raise ValueError(f"information must be (3, 3) and finite, got shape {info.shape}")
+    R, information = (np.asarray(a, dtype=float) for a in (estimate.rotation, estimate.information))
+    if R.shape != (3, 3) or not np.isnan(R).all():
+        checked_rotations(R[None], 1)
+    if information.shape != (3, 3) or not np.isfinite(information).all():
+        raise ValueError(f"information must be (3, 3) and finite, got shape {information.shape}")
     pose = camera_from_world_of(camera, rig)
     Q = pose.rotation.as_matrix()
-    seen = Q @ info @ Q.T
-    return RotationView(pose, Q @ R @ Q.T, seen, covariance_of(seen))
+    return RotationView(
+        status=estimate.status,
+        rotation=Q @ R @ Q.T,
+        information=Q @ information @ Q.T,
+        unseen=estimate.unseen @ Q.T,
+        iterations=estimate.iterations,
+        camera_from_world=pose,
+    )
 
 
 def view_of_pose(pose: FramePose, camera: Viewpoint, *, rig: Rig | None = None) -> FramePose:
@@ -226,7 +225,3 @@ def _turn(camera_from_world: RigidTransform) -> FloatArray:
     """(6, 6) what takes (w, d) from the world's axes to the camera's."""
     Q = camera_from_world.rotation.as_matrix()
     return np.asarray(block_diag(Q, Q))
-
-
-def _pan_tilt_roll(rotation: Rotation) -> FloatArray:
-    return np.asarray(rotation.as_euler("YXZ", suppress_warnings=True))

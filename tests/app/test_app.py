@@ -74,7 +74,7 @@ def test_images_without_times_are_tracked(session: Path, capsys: pytest.CaptureF
 def test_what_is_said_of_a_frame_is_said_aloud(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sylpose.tracking.tracker.is_ambiguous", lambda *_: True)
+    monkeypatch.setattr("sylpose.tracking.phases.is_ambiguous", lambda *_: True)
     run = track_session(replace(open_session(recording), _boxes={}), tmp_path, stop=6, overlay=False)
     assert any("something else moved nearly as much" in problem for problem in run.problems)
 

@@ -34,7 +34,8 @@ from sylpose.report.files import read_trajectory, read_tum
 from sylpose.report.rigview import meeting_point
 from sylpose.rig import Camera, Rig, camera_at
 from sylpose.tracking.frame_solvers import SOLVERS
-from sylpose.tracking.tracker import TrackedFrame, Tracker
+from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.tracker import Tracker
 from tests.conftest import FRAMES
 from tests.where import DATA
 

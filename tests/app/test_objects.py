@@ -20,7 +20,7 @@ from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, demo_scene, write_recording
-from sylpose.tracking.tracker import TrackedFrame
+from sylpose.tracking.tracked_frame import TrackedFrame
 
 FRAMES = 8
 TRAJECTORIES = ("trajectory.tum", "trajectory.csv")

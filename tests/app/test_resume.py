@@ -27,7 +27,7 @@ from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.report.files import read_trajectory
 from sylpose.rig import Rig
-from sylpose.tracking.tracker import TrackedFrame
+from sylpose.tracking.tracked_frame import TrackedFrame
 
 # Of the recording's frames; fewer are faster.
 FRAMES = 7

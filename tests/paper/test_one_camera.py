@@ -14,7 +14,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.paper import so3
 from sylpose.paper.equation import solve_sylvester
 from sylpose.paper.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
-from sylpose.paper.orthographic import Quadratic, quadratic_of, views_of
+from sylpose.paper.orthographic import quadratic_of, views_of
 from sylpose.results import Status
 from tests.scenes import angle
 
@@ -85,8 +85,8 @@ def test_equal_to_the_global_minimum_on_all_rotations(seed: int, noise: float, g
     solution = solve_one_camera(q, moments, aim=False)
     quadratic = quadratic_of(views_of(q[None], [moments], aim=False))
     candidates, _, _ = so3.minimize(quadratic.H, quadratic.h)
-    best = quadratic.cost(candidates[0])
-    assert abs(solution.cost - best) < 1e-8 * max(quadratic.constant, 1)
+    best = float(quadratic.cost(candidates[0]))
+    assert abs(solution.cost * quadratic.scale - best) < 1e-8 * quadratic.size
     assert solution.status is not Status.NOT_CERTIFIED
     if len(candidates) > 1 and np.linalg.norm(solution.m) > 0.1:
         assert min(angle(solution.rotations[0], c) for c in candidates) < 1e-5
@@ -129,7 +129,7 @@ def test_every_case_of_the_derivation(x: FloatArray, transform: FloatArray, orth
     moments = PairMoments.from_matches(x, x @ np.asarray(transform).T)
     solution = solve_one_camera(np.eye(3), moments, aim=False)
     quadratic = quadratic_of(views_of(np.eye(3)[None], [moments], aim=False))
-    best = quadratic.cost(so3.minimize(quadratic.H, quadratic.h)[0][0])
+    best = quadratic.cost(so3.minimize(quadratic.H, quadratic.h)[0][0]) / quadratic.scale
     assert solution.cost == pytest.approx(best, abs=1e-9)
     assert pseudo_orthogonality(solution) < 1e-14
     assert (np.linalg.norm(solution.m) == 0) == orthogonal
@@ -184,7 +184,7 @@ def test_the_two_solutions_are_mirrors_of_each_other(seed: int) -> None:
     assert solution.m[0] >= 0
     quadratic = quadratic_of(views_of(q[None], [moments], aim=False))
     for rotation in solution.rotations:
-        assert quadratic.cost(rotation) == pytest.approx(solution.cost, abs=1e-12)
+        assert quadratic.cost(rotation) / quadratic.scale == pytest.approx(solution.cost, abs=1e-12)
 
 
 # --- Symmetries -------------------------------------------------------------------------------------------------------
@@ -306,15 +306,15 @@ def test_information_against_finite_differences(seed: int) -> None:
     for solve in (solve_one_camera, solve_unconstrained):
         solution = solve(q, moments)
         quadratic = quadratic_of(views_of(q[None], [moments]))
-        unit = quadratic.scale / quadratic.variance(solution.rotations[0])
+        unit = 1 / float(quadratic.variance(quadratic.cost(solution.rotations[0])))
         for rotation, information in zip(solution.rotations, solution.information, strict=True):
 
-            def cost(w: FloatArray, rotation: FloatArray = rotation, quadratic: Quadratic = quadratic) -> float:
-                return quadratic.cost(Rotation.from_rotvec(w).as_matrix() @ rotation)
+            def cost(w: FloatArray, rotation: FloatArray = rotation, quadratic: so3.Quadratic = quadratic) -> float:
+                return float(quadratic.cost(Rotation.from_rotvec(w).as_matrix() @ rotation))
 
             e = 1e-4 * np.eye(3)
             numeric = [[(cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b)) / 4e-8 for a in e] for b in e]
-            np.testing.assert_allclose(information, np.array(numeric) * unit, atol=1e-5 * unit)
+            np.testing.assert_allclose(information, np.array(numeric) * unit, atol=1e-5 * unit * float(quadratic.scale))
 
 
 def test_without_an_out_of_plane_turn_the_solutions_are_one_and_none_such_is_seen() -> None:

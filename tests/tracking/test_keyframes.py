@@ -10,25 +10,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.features.sift import Features
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import ring
-from sylpose.tracking.frame import Reference
+from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.keyframes import (
     MAX_KEYFRAMES,
     NEW_SCALE,
     NEW_TURN,
     RINGS,
-    add_keyframe,
     nearest_views,
     references_of,
     viewpoints,
+    with_keyframe,
 )
 
 UP = np.array([0.0, 1.0, 0.0])
 START = RigidTransform.from_components([0.02, -0.03, 0.05], Rotation.from_rotvec([0.2, -0.1, 0.3]))
-SEEN = Features(np.zeros((1, 2)), np.zeros((1, 2)), np.eye(1, 128, dtype=np.float32))
 
 
 @pytest.fixture(scope="module")
@@ -44,18 +42,26 @@ def turned(degrees: float, axis: FloatArray = UP) -> RigidTransform:
     )
 
 
-def frame(rig: Rig, index: int, pose: RigidTransform, blind: tuple[int, ...] = ()) -> Reference:
+def frame(rig: Rig, index: int, pose: RigidTransform, blind: tuple[int, ...] = ()) -> SolvedFrame:
     """A solved frame; blind cameras have no features."""
-    features = tuple(Features.none() if c in blind else SEEN for c in range(len(rig)))
-    return Reference(index, index / 30, features, (), world_from_object=pose, viewpoints=viewpoints(rig, pose))
+    sees = np.array([c not in blind for c in range(len(rig))])
+    return SolvedFrame(index, index / 30, np.zeros(len(rig)), pose, np.zeros((6, 6)), viewpoints(rig, pose), sees)
 
 
-def frames(rig: Rig, *degrees: float) -> list[Reference]:
+def add_keyframe(kept: list[SolvedFrame], current: SolvedFrame) -> bool:
+    """Whether it became one."""
+    before = tuple(kept)
+    kept[:] = with_keyframe(before, current)
+    assert all(isinstance(k, SolvedFrame) for k in kept)
+    return len(kept) > len(before) or tuple(kept) != before
+
+
+def frames(rig: Rig, *degrees: float) -> list[SolvedFrame]:
     return [frame(rig, k, turned(d)) for k, d in enumerate(degrees)]
 
 
-def indices(references: list[Reference]) -> list[int]:
-    return [r.index for r in references]
+def indices(references: list[SolvedFrame]) -> list[int]:
+    return [r.number for r in references]
 
 
 def angle(a: FloatArray, b: FloatArray) -> float:
@@ -116,9 +122,9 @@ def test_references_are_few_near_and_the_oldest_of_their_ring(turns: list[float]
     assert len(set(indices(chosen))) == len(chosen)
     apart = np.array([angle(k.viewpoints[0], viewpoint) for k in kept])
     for reference in chosen:
-        mine = apart[reference.index]
+        mine = apart[reference.number]
         assert mine < RINGS[-1] + 1e-9
-        older = apart[: reference.index]
+        older = apart[: reference.number]
         inside = int(np.searchsorted(RINGS, mine, side="right"))
         # A hundredth of a degree for what lies on the border of two rings.
         clear = (older > RINGS[inside - 1] + 2e-4) & (older < RINGS[min(inside, len(RINGS) - 1)] - 2e-4)
@@ -140,7 +146,7 @@ def test_nearest_views_are_in_order_and_ties_go_to_the_older(rig: Rig) -> None:
 
 
 def test_a_frame_is_kept_when_it_shows_another_side(rig: Rig) -> None:
-    kept: list[Reference] = []
+    kept: list[SolvedFrame] = []
     limit = float(np.degrees(NEW_TURN))
     assert add_keyframe(kept, frame(rig, 0, turned(0.0)))
     assert not add_keyframe(kept, frame(rig, 1, turned(0.9 * limit)))
@@ -181,37 +187,37 @@ def test_a_turn_about_a_line_of_sight_is_not_another_side() -> None:
 
 
 def test_cameras_without_features_do_not_warn(rig: Rig) -> None:
-    kept: list[Reference] = []
+    kept: list[SolvedFrame] = []
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for k in range(40):
             add_keyframe(kept, frame(rig, k, turned(9.0 * k), blind=((), (0,), (1, 2), (0, 1, 2))[k % 4]))
-    assert not any(k.index % 4 == 3 for k in kept)  # nothing was seen in those
+    assert not any(k.number % 4 == 3 for k in kept)  # nothing was seen in those
 
 
 def test_of_too_many_the_most_redundant_newer_one_goes(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.keyframes.MAX_KEYFRAMES", 4)
+    monkeypatch.setattr("sylpose.tracking.keyframes.MAX_KEYFRAMES", 4)
     kept = frames(rig, 0, 40, 80, 93)
     assert add_keyframe(kept, frame(rig, 4, turned(120.0)))
     assert indices(kept) == [0, 1, 2, 4]  # 80 and 93 were the most alike
     # The newest itself, where it is: then nothing else is lost for it.
-    assert add_keyframe(kept, frame(rig, 5, turned(50.0)))
+    add_keyframe(kept, frame(rig, 5, turned(50.0)))
     assert indices(kept) == [0, 1, 2, 4]
     # The first one stays, whatever is like it.
-    assert add_keyframe(kept, frame(rig, 6, turned(-7.0)))
+    add_keyframe(kept, frame(rig, 6, turned(-7.0)))
     assert indices(kept) == [0, 1, 2, 4]
 
 
 def test_a_long_recording_keeps_a_bounded_number_and_the_first(rig: Rig) -> None:
     rng = np.random.default_rng(0)
-    kept: list[Reference] = []
+    kept: list[SolvedFrame] = []
     turns = Rotation.random(4 * MAX_KEYFRAMES, rng=rng)
     for k, turn in enumerate(turns):
         pose = RigidTransform.from_components(START.translation, turn * START.rotation)
         add_keyframe(kept, frame(rig, k, pose))
         assert len(kept) <= MAX_KEYFRAMES
     assert len(kept) == MAX_KEYFRAMES
-    assert kept[0].index == 0
+    assert kept[0].number == 0
     assert indices(kept) == sorted(indices(kept))
 
 
@@ -223,10 +229,10 @@ def test_every_view_that_was_met_stays_covered(steps: list[tuple[float, int]], m
     """Unless there are too many, each solved frame has a keyframe within the turn that makes a new one, in half of the
     cameras at least; the first one and the order stay in any case."""
     rig = ring(3, 1.5, target=START.translation)
-    kept: list[Reference] = []
+    kept: list[SolvedFrame] = []
     pose, met = START, []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sylpose.keyframes.MAX_KEYFRAMES", most)
+        patch.setattr("sylpose.tracking.keyframes.MAX_KEYFRAMES", most)
         for k, (degrees, axis) in enumerate(steps):
             turn = Rotation.from_rotvec(np.radians(degrees) * np.eye(3)[axis])
             pose = RigidTransform.from_components(pose.translation, turn * pose.rotation)

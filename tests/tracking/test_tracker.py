@@ -17,9 +17,10 @@ from sylpose.numerics.arrays import BoolArray
 from sylpose.results import Status
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import arc, demo_scene
-from sylpose.tracking.frame import Reference
+from sylpose.tracking.frame import CameraFrame
 from sylpose.tracking.region import polygon_mask, region_polygon
-from sylpose.tracking.tracker import TrackedFrame, Tracker, track
+from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.tracker import Tracker, track
 from tests.clips import (
     FRAMES,
     HALF_DEGREE,
@@ -199,7 +200,7 @@ def test_an_object_at_rest_at_first(n_cameras: int) -> None:
 
 
 def test_an_object_at_rest_for_long(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.tracker.PATIENCE", 3)
+    monkeypatch.setattr("sylpose.tracking.phases.PATIENCE", 3)
     images = [clip.images[0]] * 6 + clip.images[1:4]
     with Tracker(clip.rig) as tracker:
         given = [tracker.step(frame) for frame in frame_sets(images)]
@@ -376,8 +377,8 @@ def test_fewer_cameras_know_less(clip: Clip, tracked: list[TrackedFrame]) -> Non
 
 
 def test_images_are_let_go_and_references_are_bounded(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.keyframes.MAX_KEYFRAMES", 3)
-    monkeypatch.setattr("sylpose.keyframes.NEW_TURN", np.radians(1.0))  # nearly every frame is a keyframe
+    monkeypatch.setattr("sylpose.tracking.keyframes.MAX_KEYFRAMES", 3)
+    monkeypatch.setattr("sylpose.tracking.keyframes.NEW_TURN", np.radians(1.0))  # nearly every frame is a keyframe
     alive: list[list[weakref.ref[Any]]] = []
     references = []
 
@@ -391,18 +392,18 @@ def test_images_are_let_go_and_references_are_bounded(clip: Clip, monkeypatch: p
                 gc.collect()
                 # What was given last may still be in the caller's hands.
                 assert not any(ref() is not None for refs in alive[: k - 1] for ref in refs)
-                references.append(sum(isinstance(o, Reference) for o in gc.get_objects()))
+                references.append(sum(isinstance(o, CameraFrame) for o in gc.get_objects()))
 
     for f in track(frames(), clip.rig, clip.boxes):
         del f
     assert len(alive) == 2 * FRAMES - 4
-    # The keyframes, the last frame and the current one.
-    assert max(references) <= 3 + 2
-    assert references[-1] >= 3
+    # The keyframes, the last frame and the current one, of each of three cameras.
+    assert max(references) <= 3 * (3 + 2)
+    assert references[-1] >= 3 * 3
 
 
 def test_frames_that_wait_for_motion_are_few(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.tracker.PATIENCE", 2)
+    monkeypatch.setattr("sylpose.tracking.phases.PATIENCE", 2)
     refs: list[weakref.ref[Any]] = []
     with Tracker(clip.rig) as tracker:
         for k in range(6):

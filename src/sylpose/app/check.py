@@ -1,4 +1,4 @@
-"""What looks wrong with a session before it is tracked, in sentences for people."""
+"""`sylpose check`: what is understood of a session and what looks wrong with it, in sentences for people."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
+from sylpose.app import text
 from sylpose.app.notes import notes
 from sylpose.app.text import length
 from sylpose.calibration import anipose, caliscope
 from sylpose.capture import Session
 from sylpose.numerics.arrays import FloatArray
-from sylpose.report.rigview import describe_rig, meeting_point
+from sylpose.report.files import output_folder
+from sylpose.report.rigview import describe_rig, meeting_point, plot_rig
 from sylpose.rig import Rig
 from sylpose.tracking.region import volume_from_boxes
 
-__all__ = ["Place", "calibration_format", "facts", "look_at", "object_place", "obstacles", "warnings"]
+__all__ = ["Place", "calibration_format", "check_aloud", "facts", "look_at", "object_place", "obstacles", "warnings"]
 
 
 # Cameras nearer to each other than this share of their distance to the object count as one place.
@@ -42,6 +44,35 @@ class Place:
     radius: float | None
     source: str
     obstacle: str = ""
+
+
+def check_aloud(session: Session, out: Path | None) -> None:
+    """Says what is understood of a session and what looks wrong with it, and draws its rig into `rig.png`.
+
+    Args:
+        out: folder for the picture; None: `sylpose` in the session's folder.
+
+    Raises:
+        ValueError: boxes that cannot be of one object.
+        OSError: naming the file or folder that cannot be written.
+    """
+    picture = output_folder(session.path / "sylpose" if out is None else out) / "rig.png"
+    places = {name: object_place(session.of(name)) for name in session.objects}
+    place = next(iter(places.values()))
+    console = text.make_console()
+    console.print(text.headline(session))
+    console.print()
+    text.print_table(console, text.RIG_HEADER, text.rig_rows(session, describe_rig(session.rig, place.center)))
+    console.print()
+    text.print_facts(console, facts(session, places))
+    plot_rig(session.rig, picture, place.center if place.radius else None, place.radius)
+    text.print_files(console, "Picture", [picture])
+    console.print()
+    found = warnings(session, places)
+    text.print_warnings(console, found)
+    if wrong := obstacles(places):
+        raise ValueError("; ".join(wrong))
+    console.print("Ready to track." if not found else "Can be tracked; see the warnings above.")
 
 
 def object_place(session: Session) -> Place:

@@ -1,4 +1,4 @@
-"""The built-in recording and how well it was tracked: motion since the start against the known truth."""
+"""`sylpose demo`: the built-in recording and how well it was tracked, motion since the start against the known truth."""
 
 from __future__ import annotations
 
@@ -7,13 +7,18 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+from rich.console import Console
+from rich.text import Text
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.app import text
+from sylpose.app.aloud import track_aloud, why_nothing
+from sylpose.capture import open_session
 from sylpose.numerics.arrays import FloatArray
-from sylpose.report.files import output_folder, writing
+from sylpose.report.files import output_folder, read_tum, writing
 from sylpose.simulate import DemoTruth, render_sequence
 
-__all__ = ["MAX_ERROR_DEG", "Score", "render_demo", "score"]
+__all__ = ["MAX_ERROR_DEG", "Score", "demo_aloud", "render_demo", "score"]
 
 
 # Of the turn, beyond which the demo counts as failed.
@@ -40,6 +45,45 @@ class Score:
     def missing(self) -> int:
         """True poses without an estimate."""
         return self.total - len(self.rotation) - 1
+
+
+def demo_aloud(out: Path, *, frames: int, turn_deg: float, n_cameras: int, seed: int) -> list[str]:
+    """Render the built-in recording, track it from its videos, compare, and say all of it.
+
+    Args:
+        out: folder of the recording; results go into `sylpose` in it.
+
+    Returns:
+        sentences that say what went wrong; none when the motion was found in all frames to `MAX_ERROR_DEG`.
+
+    Raises:
+        ValueError, OSError: as `render_demo` and `track_session`.
+    """
+    console = text.make_console()
+    with console.status(f"Rendering {frames} frames of {n_cameras} cameras ..."):
+        truth = render_demo(out, frames=frames, turn_deg=turn_deg, n_cameras=n_cameras, seed=seed)
+    session = open_session(out)
+    run = track_aloud(session, None, seed=seed)
+    if nothing := why_nothing(session, run):
+        return nothing
+    center = truth.world_from_object[0].translation
+    result = score(*read_tum(run.files[0]), *read_tum(out / "groundtruth.tum"), center=center)
+    console.print()
+    _print_score(console, result, run.trajectory.unit)
+    if result.missing or result.rotation.max() > MAX_ERROR_DEG:
+        return [f"the demo did not come out right: {result.missing} frames missing, errors above"]
+    return []
+
+
+def _print_score(console: Console, result: Score, unit: str) -> None:
+    """The errors at the end and at their worst."""
+    found = result.total - result.missing
+    console.print(Text.assemble(("Against the truth", "bold"), f", motion since the first of {found} frames"))
+    rows = [
+        ["turn", *(f"{value:.2f}°" for value in (result.rotation[-1], result.rotation.max()))],
+        ["position", *(text.length(value, unit) for value in (result.displacement[-1], result.displacement.max()))],
+    ]
+    text.print_table(console, ("Error", "at the end", "worst"), rows)
 
 
 def score(

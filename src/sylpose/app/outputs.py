@@ -16,7 +16,7 @@ from sylpose.report.files import TrajectoryWriter, WriterState, output_folder, r
 from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
 from sylpose.smoothing.trajectory import Track, smooth
-from sylpose.tracking.tracker import TrackedFrame
+from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["MAX_SMOOTHED", "ObjectOutput", "OutputState", "Overlay"]
 

@@ -15,12 +15,13 @@ from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.frames import FrameSet
-from sylpose.methods import FEATURES, METHODS
+from sylpose.methods import FEATURES, METHODS, features_of
 from sylpose.report.files import output_folder, writing
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.sync.offsets import find_offsets, retimed
-from sylpose.tracking.tracker import TrackedFrame, Tracker
+from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.tracker import Tracker
 
 __all__ = ["CHECKPOINT_SECONDS", "Run", "has_ended", "output_path", "track_session"]
 
@@ -115,14 +116,13 @@ def track_session(
         interrupted: asked after each frame; when it says True, a checkpoint is written and KeyboardInterrupt raised.
 
     Raises:
-        ValueError: frames that the session does not have, an unknown method, boxes that do not meet in space; `resume`
-            with other options or another session than the interrupted run's, or of a live session.
+        ValueError: frames that the session does not have, an unknown method, features that it cannot use, boxes that do
+            not meet in space; `resume` with other options or another session than the interrupted run's, or of a live
+            session.
         FileNotFoundError: `resume` without an interrupted run.
         OSError: naming the file or folder that cannot be written or read.
     """
-    for name, choice, choices in (("method", method, METHODS), ("features", features, FEATURES)):
-        if choice not in choices:
-            raise ValueError(f"{name}: {choice!r} is not one of {', '.join(choices)}")
+    features_of(method, features)
     offsets = find_offsets(session) if offsets is None else dict(offsets)
     if isinstance(session, Session):  # then they are in its time stamps
         session, late = retimed(session, [offsets.get(name, 0.0) for name in session.rig.names]), None

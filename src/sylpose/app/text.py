@@ -19,12 +19,11 @@ from rich.text import Text
 from sylpose.results import FramePose, Status, Trajectory
 
 if TYPE_CHECKING:  # loading these takes a second
-    from sylpose.app.demo import Score
     from sylpose.app.run import Run
     from sylpose.capture import Session
     from sylpose.capture.live import LiveSession
     from sylpose.report.rigview import CameraView
-    from sylpose.tracking.tracker import TrackedFrame
+    from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = [
     "RIG_HEADER",
@@ -34,7 +33,6 @@ __all__ = [
     "make_console",
     "print_facts",
     "print_files",
-    "print_score",
     "print_summary",
     "print_table",
     "print_warnings",
@@ -200,17 +198,6 @@ def print_summary(console: Console, run: Run, tracked: int) -> None:
     parts = ", ".join(f"{name} {seconds:.1f}" for name, seconds in run.seconds.items())
     print_facts(console, [("Time", f"{total:.1f} s, {tracked / total:.1f} frames/s ({parts})")])
     print_files(console, "Files", run.files)
-
-
-def print_score(console: Console, result: Score, unit: str) -> None:
-    """The demo's errors at the end and at their worst."""
-    found = result.total - result.missing
-    console.print(Text.assemble(("Against the truth", "bold"), f", motion since the first of {found} frames"))
-    rows = [
-        ["turn", *(f"{value:.2f}°" for value in (result.rotation[-1], result.rotation.max()))],
-        ["position", *(length(value, unit) for value in (result.displacement[-1], result.displacement.max()))],
-    ]
-    print_table(console, ("Error", "at the end", "worst"), rows)
 
 
 def solved(trajectory: Trajectory) -> list[FramePose]:

@@ -6,16 +6,50 @@ import math
 from pathlib import Path
 
 from sylpose import calibration
+from sylpose.app import text
 from sylpose.report.files import TrajectoryWriter, output_folder, read_trajectory
 from sylpose.report.plots import plot_trajectory
 from sylpose.results import Trajectory
 from sylpose.rig import Camera, camera_at
 from sylpose.view import trajectory_view
 
-__all__ = ["calibration_of", "looked_up", "read_result", "standing", "write_view"]
+__all__ = ["calibration_of", "looked_up", "read_result", "standing", "view_aloud", "write_view"]
 
 # A view in the camera's axes does not depend on what its image would be like.
 FOCAL, SIZE = 1000.0, (1280, 960)
+
+
+def view_aloud(
+    result: Path,
+    name: str,
+    given: Path | None,
+    eye: tuple[float, float, float] | None,
+    at: tuple[float, float, float] | None,
+    out: Path | None,
+) -> None:
+    """Writes a run's trajectory as a camera sees it, and says into which files.
+
+    Args:
+        result: folder of the run, or its trajectory.csv.
+        name: of a camera of the calibration, or with `eye` for the view.
+        given: a calibration; None for that of the run's session.
+        eye, at: where a virtual camera stands and what it looks at.
+        out: folder for the files; None: beside the trajectory.
+
+    Raises:
+        ValueError, OSError: as the functions below; options that exclude each other.
+    """
+    trajectory = read_result(result)
+    if eye is not None:
+        if given is not None:
+            raise ValueError("--from places a camera, --calibration looks one up: give one of them")
+        camera = standing(name, eye, at, trajectory)
+    elif at is not None:
+        raise ValueError("--at needs --from X Y Z: where the camera stands")
+    else:
+        camera = looked_up(name, calibration_of(result, given))
+    folder = out if out is not None else result if result.is_dir() else result.parent
+    text.print_files(text.make_console(), "Files", write_view(trajectory, name, camera, folder))
 
 
 def read_result(path: Path) -> Trajectory:

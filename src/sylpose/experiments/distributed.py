@@ -23,7 +23,7 @@ from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table, error_columns,
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.distributed.messages import Inbox, Packet
 from sylpose.paper.distributed.refine import RefineState, refine_start, refine_step
-from sylpose.paper.distributed.simulated import Agreement, Faults, run, solve_exchange, solve_gossip, solve_refine
+from sylpose.paper.distributed.simulated import Agreement, Disturbances, run, solve_exchange, solve_gossip, solve_refine
 from sylpose.rig import Rig
 from sylpose.simulate import arc
 
@@ -131,7 +131,7 @@ def distances(problem: Problem, loss: float) -> FloatArray:
     starts = [
         partial(refine_start, c, everyone, problem.rotations[c], problem.moments[c], aim=problem.aim) for c in everyone
     ]
-    run(starts, step, Faults(loss=loss), ROUNDS + 1)
+    run(starts, step, Disturbances(loss=loss), ROUNDS + 1)
     return np.asarray(np.maximum(out.max(axis=1), 1e-16))  # 0 has no place on a logarithmic axis
 
 

@@ -1,1 +1,1 @@
-"""Points in images: found (SIFT) and followed (KLT)."""
+"""Points in images: found (`sift`) and followed (`klt`)."""

@@ -1,1 +1,1 @@
-"""Where an object of known points is."""
+"""Where an object of known points is: `pose.estimate_pose`, solvePnP for many cameras."""

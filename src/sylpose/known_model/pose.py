@@ -24,6 +24,7 @@ from sylpose.known_model.pose_kernels import (
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.matrices import covariance_of
 from sylpose.numerics.robust import BIQUARTIC_BOUND
+from sylpose.numerics.unseen import UNSEEN_SHARE, UNSEEN_TURN, about_a_turn, unseen_directions
 from sylpose.results import Motion, Status
 from sylpose.rig import Camera, Rig
 
@@ -42,8 +43,6 @@ KEPT, SEARCH_STEPS, ROUNDS = 6, 5, 50
 SAME_TURN = 0.05
 # A pose counts as chance when random matches would show one as good more often than this.
 BY_CHANCE = 0.01
-# Standard deviations beyond which a turn (radians), or a place (relative to the distance), has not been seen.
-UNSEEN_TURN, UNSEEN_SHARE = 0.25, 0.5
 # Of two poses that explain the matches nearly equally well, the better is believed from these odds on.
 CLEAR_ODDS = 3.0
 
@@ -127,10 +126,13 @@ def estimate_pose(
         status = Status.NOT_CONSISTENT
     seen = np.empty((6, 6))
     information(views, best.rotation, best.place, best.noise, seen)
-    unseen = _unseen(views, poses, seen) if status is Status.OK else np.empty((0, 6))
-    if len(unseen):
-        turns = np.linalg.norm(unseen[:, :3] / UNSEEN_TURN, 2) ** 2 > 0.5
-        status = Status.TURN_NOT_OBSERVABLE if turns else Status.SCALE_NOT_OBSERVABLE
+    unseen = np.empty((0, 6))
+    if status is Status.OK:
+        limits = _limits(views, best)
+        weak = _unseen(views, poses, seen, limits)
+        unseen = weak * limits
+        if len(weak):
+            status = Status.TURN_NOT_OBSERVABLE if about_a_turn(weak) else Status.SCALE_NOT_OBSERVABLE
     # The noise is itself estimated: the covariance is that of Student's distribution.
     seen *= max(best.freedom - 2.0, 0.5) / best.freedom
     return _result(counts, status, center, best, origin, seen, unseen)
@@ -306,23 +308,28 @@ def _log_chance(views: Views, pose: _Pose) -> float:
     return float(np.log(n) + choices + (k - 3) / k * log_share)
 
 
-def _unseen(views: Views, poses: Sequence[_Pose], seen: FloatArray) -> FloatArray:
-    """The directions (k, 6) of (w, d) with a standard deviation beyond the limits, turn and place weighed together; or the
-    one to another pose, turned by more than the limit, that explains the matches about as well (flat objects)."""
-    best = poses[0]
+def _limits(views: Views, pose: _Pose) -> FloatArray:
+    """(6,) standard deviations beyond which (w, d) have not been seen: a turn, and half of the distance."""
     centers = -np.einsum("cij,ci->cj", views.turns, views.shifts)
-    distance = float(np.linalg.norm(centers - best.place, axis=1).min())
-    limits = np.array([UNSEEN_TURN] * 3 + [UNSEEN_SHARE * distance] * 3)
-    values, vectors = np.linalg.eigh(seen * np.outer(limits, limits))
-    if values[0] >= 1.0 and len(poses) > 1:
+    distance = float(np.linalg.norm(centers - pose.place, axis=1).min())
+    return np.array([UNSEEN_TURN] * 3 + [UNSEEN_SHARE * distance] * 3)
+
+
+def _unseen(views: Views, poses: Sequence[_Pose], seen: FloatArray, limits: FloatArray) -> FloatArray:
+    """The directions (k, 6) of (w, d) with a standard deviation beyond the limits, in units of these, turn and place weighed
+    together; or the one to another pose, turned by more than the limit, that explains the matches about as well (flat
+    objects)."""
+    best, weak = poses[0], unseen_directions(seen, limits)
+    if len(weak) == 0 and len(poses) > 1:
         top = CUTOFF**2 * float(np.median(best.noise.variances))
         losses = [score(views, pose.rotation, pose.place, top, np.inf) for pose in poses[:2]]
         if 0.5 * CUTOFF**2 * BIQUARTIC_BOUND * (losses[1] - losses[0]) < np.log(CLEAR_ODDS):
             other = Rotation.from_matrix(poses[1].rotation @ best.rotation.T).as_rotvec()
             between = np.concatenate([other, poses[1].place - best.place])
             if np.linalg.norm(other) > UNSEEN_TURN:
-                return np.asarray(between[None] / np.linalg.norm(between / limits))
-    return np.asarray(vectors[:, values < 1.0].T * limits)
+                away = between / limits
+                return np.asarray(away[None] / np.linalg.norm(away))
+    return weak
 
 
 def _result(

@@ -1,1 +1,1 @@
-"""Where features are on the object, better from frame to frame."""
+"""Where features are on the object, better from frame to frame (`places`), and the pose that follows (`alignment`)."""

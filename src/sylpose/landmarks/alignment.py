@@ -27,11 +27,12 @@ import numpy as np
 from sylpose.landmarks.alignment_kernels import CUTOFF, Stacked, iterate, linearise
 from sylpose.numerics.arrays import FloatArray, IntArray
 
-__all__ = ["Aligned", "Sights", "align"]
+__all__ = ["FIRST_PX", "Aligned", "Sights", "align"]
 
 
 # Noise that the first, forgiving rounds assume, pixels: from a bad prediction to a keypoint's own noise.
 SCHEDULE_PX = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
+FIRST_PX = SCHEDULE_PX[0]
 # Cameras disagree when one of them is doubted by this factor, has this many times the rig's noise, or this much less of its
 # matches agree than of another's.
 DOUBTED, NOISY, FEWER = 3.0, 2.0, 0.6
@@ -101,7 +102,7 @@ class Aligned:
     surface: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
 
 
-def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = 32.0) -> Aligned:
+def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = FIRST_PX) -> Aligned:
     """Robust Gauss-Newton from one start.
 
     Args:

@@ -19,7 +19,7 @@ def kron(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def transpose(a: FloatArray) -> FloatArray:
     """Of the last two axes."""
-    return np.asarray(np.swapaxes(a, -1, -2))
+    return a.swapaxes(-1, -2)
 
 
 def checked_rotations(rotations: ArrayLike, n: int) -> FloatArray:

@@ -24,7 +24,7 @@ from sylpose.numerics.matrices import checked_rotations
 from sylpose.paper.affine_votes import FAULT, LEFT_OVER, SCALE, AffineFits, affine_fits, agreed_rotation, score, settled
 from sylpose.paper.centralized import CentralizedSolution, solve_centralized
 from sylpose.paper.orthographic import views_of
-from sylpose.results import Status
+from sylpose.results import RotationEstimate, Status
 
 __all__ = ["Diagnosis", "Fault", "FaultKind", "RobustSolution", "diagnose", "solve_robust", "suspect_cameras"]
 
@@ -88,29 +88,19 @@ class Diagnosis:
 
 
 @dataclass(frozen=True, eq=False)
-class RobustSolution:
+class RobustSolution(RotationEstimate):
     """The rotation of the cameras that can be relied upon.
 
     Attributes:
         status: that of `solution`; but NOT_CONSISTENT where no majority of cameras agrees,
             or it is not certain which one is wrong (`diagnosis.text`): `solution` is then the likeliest.
+        rotation, information, unseen, iterations: those of `solution`.
         solution: the centralised estimate with the cameras' weights; None where every camera is junk.
         diagnosis: what is wrong with which camera.
     """
 
-    status: Status
     solution: CentralizedSolution | None
     diagnosis: Diagnosis
-
-    @property
-    def rotation(self) -> FloatArray:
-        """(3, 3) X_j = R X_i + t in the world frame; NaN where every camera is junk."""
-        return np.full((3, 3), np.nan) if self.solution is None else self.solution.rotation
-
-    @property
-    def information(self) -> FloatArray:
-        """(3, 3) of w, as in `CentralizedSolution`; zero where every camera is junk."""
-        return np.zeros((3, 3)) if self.solution is None else self.solution.information
 
     @property
     def weights(self) -> FloatArray:
@@ -141,10 +131,12 @@ def solve_robust(
     Q = np.asarray(rotations, dtype=float)
     kept = np.flatnonzero(diagnosis.weights > 0).tolist()
     if len(kept) == 0:
-        return RobustSolution(Status.NOT_CONSISTENT, None, diagnosis)
+        nothing = np.full((3, 3), np.nan), np.zeros((3, 3)), np.eye(3)
+        return RobustSolution(Status.NOT_CONSISTENT, *nothing, 0, None, diagnosis)
     weighted = [_weighted(moments[c], float(diagnosis.weights[c])) for c in kept]
-    solution = solve_centralized(Q[kept], weighted, aim=aim)
-    return RobustSolution(solution.status if diagnosis.consistent else Status.NOT_CONSISTENT, solution, diagnosis)
+    s = solve_centralized(Q[kept], weighted, aim=aim)
+    status = s.status if diagnosis.consistent else Status.NOT_CONSISTENT
+    return RobustSolution(status, s.rotation, s.information, s.unseen, s.iterations, s, diagnosis)
 
 
 def diagnose(

@@ -27,10 +27,10 @@ from numpy.typing import ArrayLike
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
-from sylpose.numerics.matrices import transpose
+from sylpose.numerics.unseen import UNSEEN_TURN, unseen_directions
 from sylpose.paper.orthographic import quadratics_of
-from sylpose.paper.so3 import FLAT, STATIONARY, cost_of, derivatives, minimize_batch, multiplier_of
-from sylpose.results import Status
+from sylpose.paper.so3 import FLAT, cost_of, minimize_batch
+from sylpose.results import RotationEstimate, Status
 
 __all__ = [
     "CentralizedBatch",
@@ -42,10 +42,6 @@ __all__ = [
 ]
 
 
-# A turn about an axis is not seen if its standard deviation (radians) exceeds this.
-UNSEEN_TURN = 0.25
-
-
 def unseen_turns(information: FloatArray) -> FloatArray:
     """The unit directions (..., k, 3) of w that are not seen: the standard deviation of the turn exceeds `UNSEEN_TURN`, or
     the cost is as good as flat (information below a millionth of that about the best seen axis).
@@ -53,37 +49,36 @@ def unseen_turns(information: FloatArray) -> FloatArray:
     Args:
         information: (..., 3, 3) of w, 1/rad²; of several, all with the first one's eigenvalues (mirrored solutions).
     """
-    values, vectors = np.linalg.eigh(information)
-    first = values.reshape(-1, 3)[0]
-    k = int((first < max(1 / UNSEEN_TURN**2, FLAT * first[2])).sum())
-    return transpose(vectors[..., :k])
+    return unseen_directions(information, UNSEEN_TURN, flat=FLAT)
 
 
-def status_of(converged: bool, certified: bool, information: FloatArray) -> Status:
-    """What a rotation is worth whose `information` is (3, 3), the same for all estimators that ignore depth: the first of
-    NOT_CONVERGED, TURN_NOT_OBSERVABLE where there are `unseen_turns`, NOT_CERTIFIED, OK that holds."""
+def status_of(converged: bool, certified: bool, unseen: FloatArray) -> Status:
+    """What a rotation is worth, the same for all estimators that ignore depth: the first of NOT_CONVERGED,
+    TURN_NOT_OBSERVABLE where there are `unseen_turns` (k, 3), NOT_CERTIFIED, OK that holds."""
     if not converged:
         return Status.NOT_CONVERGED
-    if len(unseen_turns(information)):
+    if len(unseen):
         return Status.TURN_NOT_OBSERVABLE
     return Status.OK if certified else Status.NOT_CERTIFIED
 
 
 @dataclass(frozen=True, eq=False)
-class CentralizedSolution:
+class CentralizedSolution(RotationEstimate):
     """The rotation that all cameras agree on best, orthographic views.
 
     Attributes:
+        status: see `status_of`.
+        rotation: (3, 3) the first of `candidates`.
+        information: (3, 3) the Hessian of the cost on SO(3) over the residuals' variance (weighted mean square per
+            coordinate; at least 1e-12 of the points' own).
+        unseen: (k, 3) `unseen_turns`.
+        iterations: Newton steps, on the dual and, where that gave no certificate, on SO(3).
         candidates: (k, 3, 3) rotations: the global optimum when `certified`, else all local minima found, best first
             (a single camera's mirrored pair, for instance). Where a direction is not observable they sample a continuum.
         costs: (k,) half the sum of squared residuals of each, in units in which H has the mean eigenvalue 1.
         certified: K is positive definite, so that `rotation` is the one global optimum. Never for a single camera.
         converged: `rotation` is a stationary point of the cost.
         multiplier: (3, 3) L of Sylvester's equation at `rotation`, in the units of `costs`.
-        information: (3, 3) of w, R = exp(w) rotation, world axes, 1/rad²: the Hessian of the cost on SO(3) over the
-            residuals' variance (weighted mean square per coordinate; at least 1e-12 of the points' own). It shows the
-            directions that cannot be observed; it knows nothing of the model's bias.
-        iterations: Newton steps, on the dual and, where that gave no certificate, on SO(3).
     """
 
     candidates: FloatArray
@@ -91,23 +86,11 @@ class CentralizedSolution:
     certified: bool
     converged: bool
     multiplier: FloatArray
-    information: FloatArray
-    iterations: int
-
-    @property
-    def rotation(self) -> FloatArray:
-        """(3, 3) the best rotation, X_j = R X_i + t in the world frame."""
-        return np.asarray(self.candidates[0])
 
     @property
     def cost(self) -> float:
         """The cost at `rotation`."""
         return float(self.costs[0])
-
-    @property
-    def status(self) -> Status:
-        """See `status_of`."""
-        return status_of(self.converged, self.certified, self.information)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,21 +127,23 @@ class CentralizedBatch:
         return (self[n] for n in range(len(self)))
 
     def __getitem__(self, n: int) -> CentralizedSolution:
-        k = self.counts[n]
+        k, certified, converged = self.counts[n], bool(self.certified[n]), bool(self.converged[n])
+        unseen = unseen_turns(self.information[n])
         return CentralizedSolution(
+            status=status_of(converged, certified, unseen),
+            rotation=self.candidates[n, 0],
+            information=self.information[n],
+            unseen=unseen,
+            iterations=int(self.iterations[n]),
             candidates=self.candidates[n, :k],
             costs=self.costs[n, :k],
-            certified=bool(self.certified[n]),
-            converged=bool(self.converged[n]),
+            certified=certified,
+            converged=converged,
             multiplier=self.multiplier[n],
-            information=self.information[n],
-            iterations=int(self.iterations[n]),
         )
 
 
-def solve_centralized(
-    rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool = True, symmetric: bool = False
-) -> CentralizedSolution:
+def solve_centralized(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool = True) -> CentralizedSolution:
     """The object's rotation between two frames from the second moments of all cameras' matches.
 
     Views are orthographic, of one scale per camera: depth that changes between the frames is not modelled. Cameras
@@ -171,20 +156,15 @@ def solve_centralized(
         moments: C pair moments.
         aim: turn each camera, in each frame, onto the mean ray of its matches first: perspective images are orthographic
             to first order only about that ray. False for points that are orthographic, whose mean is no direction.
-        symmetric: fit frame j from frame i and frame i from frame j at once, so that exchanging the frames gives the
-            inverse rotation. The condition for exactness is then stricter: depths uncorrelated with the images in both
-            frames, as of points spread equally in all directions.
 
     Raises:
         ValueError: shapes that do not fit, matrices that are no rotations, matches without any spread.
     """
     matrices = np.array([m.matrix for m in moments]).reshape(1, len(moments), 9, 9)
-    return solve_centralized_batch(rotations, matrices, aim=aim, symmetric=symmetric)[0]
+    return solve_centralized_batch(rotations, matrices, aim=aim)[0]
 
 
-def solve_centralized_batch(
-    rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True, symmetric: bool = False
-) -> CentralizedBatch:
+def solve_centralized_batch(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True) -> CentralizedBatch:
     """`solve_centralized` for N problems of C cameras each: the same answers to the bit, whatever the others are.
 
     Args:
@@ -194,19 +174,17 @@ def solve_centralized_batch(
     Raises:
         ValueError: as `solve_centralized`; moments that are not finite or not symmetric.
     """
-    q = quadratics_of(rotations, moments, aim=aim, symmetric=symmetric)
+    q = quadratics_of(rotations, moments, aim=aim)
     found = minimize_batch(q.H, q.h)
-    best = found.candidates[:, 0]
-    gradient, hessian = derivatives(q.H, q.h, best)
+    best = q.at(found.candidates[:, 0])
     costs = cost_of(q.H[:, None], q.h[:, None], found.candidates) + q.constant[:, None]
-    variance = np.maximum(costs[:, 0], 1e-12 * np.maximum(q.constant, 1.0)) * q.scale / q.weight
     return CentralizedBatch(
         candidates=found.candidates,
         counts=found.counts,
-        costs=costs,
+        costs=costs / q.scale[:, None],
         certified=found.certified,
-        converged=np.abs(gradient).max(axis=1) < STATIONARY,
-        multiplier=multiplier_of(q.H, q.h, best),
-        information=hessian * (q.scale / variance)[:, None, None],
+        converged=best.stationary,
+        multiplier=best.multiplier / q.scale[:, None, None],
+        information=best.information,
         iterations=found.iterations,
     )

@@ -36,10 +36,11 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.matrices import covariance_of, kron, transpose
+from sylpose.numerics.matrices import kron, transpose
+from sylpose.numerics.unseen import UNSEEN_SHARE, unseen_directions
 from sylpose.paper.depth_plane_kernels import RELIEF, costs, derivatives
 from sylpose.paper.orthographic import views_of
-from sylpose.results import Status
+from sylpose.results import RotationEstimate, Status
 
 __all__ = ["DepthPlaneSolution", "solve_depth_plane"]
 
@@ -59,8 +60,8 @@ SETTLED = 1e-10
 NEAR = 1e-3
 # A stranger minimum that is less likely by no more than exp(-this) leaves doubt.
 RIVAL = 4.5
-# A direction is not observable if its standard deviation exceeds this share of the turn, and a degree.
-UNOBSERVABLE_SHARE = 0.5
+# A turn is not observable where it is less certain than half of itself, and than this, in radians: a degree (choice).
+LEAST_LIMIT = float(np.deg2rad(1.0))
 
 _W = slice(0, 3)  # a camera's unknowns: w of R = exp(w) R̂, then its own
 _OWN = 7  # a (2), log s, τ (2), log ζ, log σ
@@ -70,42 +71,32 @@ _SIGNS = 1 - 2 * np.array(list(np.ndindex(2, 2, 2)))[1:]
 
 
 @dataclass(frozen=True, eq=False)
-class DepthPlaneSolution:
+class DepthPlaneSolution(RotationEstimate):
     """The rotation that all cameras agree on best, with what each believes of the depth that it sees.
 
     Attributes:
         status: OK; TOO_FEW_MATCHES (no answer: no camera has three matches with spread); TURN_NOT_OBSERVABLE (one
             camera, or a direction whose standard deviation exceeds half of the turn, and a degree); NOT_CERTIFIED
             (another rotation, beyond this one's uncertainty, is nearly as likely); NOT_CONVERGED.
-        rotation: (3, 3) R, X_j = R X_i + t in the world frame; NaN without an answer. Where a part of the turn is not
-            observable, the best guess.
+        information: (3, 3) of w, what each camera believes of its own depth eliminated.
+        unseen: (k, 3) unit directions of w with a standard deviation beyond half of the turn, and a degree; of one camera
+            alone the one that it sees least, whatever it believes of its own depth.
+        iterations: steps of all searches together.
         planes: (C, 2) slopes a of the depth in units of the depth at the camera's mean ray, along the x and y axes of the
             camera turned onto that ray. NaN in this and what follows for a camera without three matches.
         scales: (C,) s, by which the image of the object grows.
         relief: (C,) ζ, the standard deviation of the depth about the plane, same units.
         sigma: (C,) noise of an image coordinate, normalised units.
         cost: minus the logarithm of the likelihood and the priors, but for a constant.
-        information: (3, 3) of w, R = exp(w) rotation, world axes, 1/rad², what each camera believes of its own depth
-            eliminated. Zero without an answer.
         converged: the search settled, or its bound of iterations ended it within 0.05 standard deviations.
-        iterations: steps of all searches together.
     """
 
-    status: Status
-    rotation: FloatArray
     planes: FloatArray
     scales: FloatArray
     relief: FloatArray
     sigma: FloatArray
     cost: float
-    information: FloatArray
     converged: bool
-    iterations: int
-
-    @property
-    def covariance(self) -> FloatArray:
-        """(3, 3) the inverse of `information`; infinite variances on the axes that share an unknown direction."""
-        return covariance_of(self.information)
 
 
 class _Problem(NamedTuple):
@@ -159,7 +150,7 @@ def solve_depth_plane(
     """
     problem, used = _problem(rotations, moments, noise, aim)
     own = np.full((len(used), _OWN), np.nan)
-    R, information = np.full((3, 3), np.nan), np.zeros((3, 3))
+    R, information, unseen = np.full((3, 3), np.nan), np.zeros((3, 3)), np.eye(3)
     status, cost, converged, iterations = Status.TOO_FEW_MATCHES, np.nan, False, 0
     if used.any():
         found = _minima(problem)
@@ -168,7 +159,11 @@ def solve_depth_plane(
         R, own[used], cost = found.R[best], found.own[best], float(found.cost[best])
         information = _information(problem, found.R[best : best + 1], found.own[best : best + 1])
         converged, iterations = bool(found.converged[best]), found.iterations
-        status = _status(found, best, information, int(used.sum()))
+        turn = Rotation.from_matrix(R).magnitude()
+        unseen = unseen_directions(information, max(UNSEEN_SHARE * turn, LEAST_LIMIT))
+        if used.sum() < 2 and len(unseen) == 0:
+            unseen = np.linalg.eigh(information)[1][:, :1].T
+        status = _status(found, best, information, unseen)
     return DepthPlaneSolution(
         status=status,
         rotation=R,
@@ -178,6 +173,7 @@ def solve_depth_plane(
         sigma=np.exp(own[:, 6]),
         cost=cost,
         information=information,
+        unseen=unseen,
         converged=converged,
         iterations=iterations,
     )
@@ -240,10 +236,8 @@ def _minima(problem: _Problem) -> _Found:
     return last._replace(iterations=found.iterations + last.iterations)
 
 
-def _status(found: _Found, best: int, information: FloatArray, cameras: int) -> Status:
-    weakest = np.linalg.eigvalsh(information)[0]
-    turn = Rotation.from_matrix(found.R[best]).magnitude()
-    if cameras < 2 or not weakest * max(UNOBSERVABLE_SHARE * turn, np.deg2rad(1)) ** 2 > 1:
+def _status(found: _Found, best: int, information: FloatArray, unseen: FloatArray) -> Status:
+    if len(unseen):
         return Status.TURN_NOT_OBSERVABLE
     if not found.converged[best]:
         return Status.NOT_CONVERGED

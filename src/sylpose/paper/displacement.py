@@ -54,7 +54,7 @@ def translation_from_means(
         ValueError: shapes that do not fit, no rotations, no matches, a centre that is not in front of a camera.
     """
     Q, o, used, R, g = _checked(rotations, centers, moments, rotation, center)
-    variance = quadratic_of(views_of(Q, used)).variance(R)
+    variance = _variance(Q, used, R)
     depth = np.einsum("ci,ci->c", Q[:, 2], g - o)
     x, y = _mean_rays(used)
     offset = o + depth[:, None] * np.einsum("cji,cj->ci", Q, x) - g
@@ -119,7 +119,7 @@ def translation_from_moments(
     # Any length will do for the steps: that of the cameras' distances makes them of the size of angles.
     scale = float(np.median(np.linalg.norm(o - g, axis=1)))
     freedom = max(sum(m.count for m in used) - 6, 1.0)
-    variance = quadratic_of(views_of(Q, used)).variance(R)
+    variance = _variance(Q, used, R)
     d = first
     # The variance is not known before the fit.
     for _ in range(VARIANCES):
@@ -154,6 +154,12 @@ def _checked(
     if behind.any():
         raise ValueError(f"the object's centre is not in front of camera {int(np.argmax(behind))}")
     return Q[seen], o[seen], [m for m, s in zip(moments, seen, strict=True) if s], R, g
+
+
+def _variance(Q: FloatArray, moments: Sequence[PairMoments], R: FloatArray) -> float:
+    """Mean square residual of the matches about R, per normalised coordinate."""
+    q = quadratic_of(views_of(Q, moments))
+    return float(q.variance(q.cost(R)))
 
 
 def _mean_rays(moments: Sequence[PairMoments]) -> tuple[FloatArray, FloatArray]:

@@ -1,5 +1,9 @@
 """Sylvester's equation A N + N B = C, and its generalised form Σ A_k X B_k = C, with singular ones refused.
 
+The refinement's steps are of this kind (`distributed.refine`). The other estimators have the multiplier L among the
+unknowns and solve the equation together with its constraint: in closed form for one camera (`one_camera`), else on SO(3)
+(`so3`).
+
 `scipy.linalg.solve_sylvester` gives numbers of the order 1e14 where A and -B share an eigenvalue; here that is an error
 that names it. An equation is singular where its least singular value, σ = min |A N + N B| / |N| (Frobenius norms; also
 called sep(A, -B)), is at most `rcond` times the size of the data, |A| + |B| or Σ |A_k| |B_k|: rounding changes the

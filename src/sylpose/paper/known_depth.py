@@ -22,10 +22,10 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.matrices import checked_rotations
+from sylpose.numerics.matrices import checked_rotations, transpose
 from sylpose.paper.centralized import status_of, unseen_turns
-from sylpose.paper.so3 import CERTIFICATE, STATIONARY, cost_of, derivatives, minimize, multiplier_of
-from sylpose.results import Status
+from sylpose.paper.so3 import CERTIFICATE, LEAST, Quadratic, minimize
+from sylpose.results import RotationEstimate, Status
 
 __all__ = ["KnownDepthSolution", "solve_2d3d", "solve_3d3d"]
 
@@ -34,50 +34,39 @@ __all__ = ["KnownDepthSolution", "solve_2d3d", "solve_3d3d"]
 ROUNDING = 1e-12
 # Points whose distance from their mean is this share of that from the origin are spread by rounding only.
 FALLEN = 16 * float(np.finfo(float).eps)
-# The residuals' mean square is taken to be at least this share of the points' own.
-LEAST = 1e-12
 # No weight is larger, and one that is smaller than the inverse is none.
 MOST = 1e100
 
 
 @dataclass(frozen=True, eq=False)
-class KnownDepthSolution:
+class KnownDepthSolution(RotationEstimate):
     """The motion of points that are known in 3D.
 
     Attributes:
         status: OK; NOT_CERTIFIED, the best of all minima found; NOT_CONVERGED; TURN_NOT_OBSERVABLE, something is `unseen`.
+        rotation: (3, 3) the first of `candidates`; NaN where no points are spread: then the information is zero, the
+            multiplier too.
+        information, unseen: (3, 3) and (k, 3) as in `CentralizedSolution`.
+        iterations: of the minimiser; 0 for the closed form.
         candidates: (k, 3, 3) rotations: the global optimum when `certified`, else all local minima found, best first
             (two mirrored ones of a flat object in one camera, for instance); where something is not seen they sample a
-            continuum. One of NaN where no points are spread: then the information is zero, the multiplier too.
+            continuum.
         costs: (k,) half the sum of squared residuals of each, in units in which H has the mean eigenvalue 1.
         certified: `rotation` is proved to be the global optimum.
         multiplier: (3, 3) L of Sylvester's equation at `rotation`, in the units of `costs`.
-        information: (3, 3) of w, R = exp(w) rotation, world axes, 1/rad²: the Hessian of the cost on SO(3) over the
-            residuals' variance (weighted mean square per coordinate; at least 1e-12 of the points' own).
-        unseen: (k, 3) unit directions of w that are not seen (`unseen_turns`).
         center: (3,) weighted mean of all points in frame i, world.
         displacement: (3,) d of the centre, X_j = R (X_i - center) + center + d; of least length where a direction is not
             seen (one camera: along its axis). NaN without a rotation, but for 3D-3D.
         displacement_information: (3, 3) of d given the rotation; zero along what is not seen.
-        iterations: of the minimiser; 0 for the closed form.
     """
 
-    status: Status
     candidates: FloatArray
     costs: FloatArray
     certified: bool
     multiplier: FloatArray
-    information: FloatArray
-    unseen: FloatArray
     center: FloatArray
     displacement: FloatArray
     displacement_information: FloatArray
-    iterations: int
-
-    @property
-    def rotation(self) -> FloatArray:
-        """(3, 3) the best rotation, X_j = R X_i + t in the world frame."""
-        return np.asarray(self.candidates[0])
 
     @property
     def translation(self) -> FloatArray:
@@ -126,29 +115,33 @@ def solve_2d3d(
         raise ValueError("no camera has points")
     center = sum((s.weight * s.mean_x for s in sets), start=np.zeros(3)) / weight
     PQ = Q[:, :2]
-    H = sum((np.kron(p.T @ p, s.s_xx) for p, s in zip(PQ, sets, strict=True)), start=np.zeros((9, 9)))
-    h = sum((p.T @ s.s_yx for p, s in zip(PQ, sets, strict=True)), start=np.zeros((3, 3))).ravel()
-    scale = float(np.trace(H)) / 9
+    q = Quadratic.of_terms(
+        transpose(PQ) @ PQ,
+        np.array([s.s_xx for s in sets]),
+        transpose(PQ) @ np.array([s.s_yx for s in sets]),
+        np.array([s.half_yy for s in sets]),
+        np.array([s.weight for s in sets]),
+    )
+    scale = float(q.scale)
     if not scale > FALLEN**2 * sum(s.total for s in sets):
         return _nothing(center, np.full(3, np.nan))
-    H, h, constant = (H + H.T) / (2 * scale), h / scale, sum(s.half_yy for s in sets) / scale
-    candidates, certified, iterations = minimize(H, h)
+    candidates, certified, iterations = minimize(q.H, q.h)
     R = np.asarray(candidates[0])
-    gradient, hessian = derivatives(H, h, R)
-    converged, L = bool(np.abs(gradient).max() < STATIONARY), multiplier_of(H, h, R)
+    best = q.at(R)
+    converged, H, L = bool(best.stationary), q.H / scale, best.multiplier / scale
     if not certified and converged:
         seen = PQ[[s.weight > 0 for s in sets]]
         if _proved_by_two_rows(seen, H, L) or _proved_by_two_columns(
             np.sum([s.s_xx for s in sets], axis=0), H, R.T @ L @ R
         ):
             certified, candidates = True, candidates[:1]
-    costs = cost_of(H, h, candidates) + constant
-    variance = max(float(costs[0]), LEAST * max(constant, 1.0)) * scale / weight
-    information = hessian * scale / variance
-    unseen = unseen_turns(information)
-    status = status_of(converged, certified, information)
-    d, of_d = _displacement(PQ, o, sets, R, center, variance)
-    return KnownDepthSolution(status, candidates, costs, certified, L, information, unseen, center, d, of_d, iterations)
+    costs = q.cost(candidates) / scale
+    unseen = unseen_turns(best.information)
+    status = status_of(converged, certified, unseen)
+    d, of_d = _displacement(PQ, o, sets, R, center, float(q.variance(best.cost)))
+    return KnownDepthSolution(
+        status, R, best.information, unseen, iterations, candidates, costs, certified, L, center, d, of_d
+    )
 
 
 def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> KnownDepthSolution:
@@ -171,7 +164,7 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
     d, scale = s.mean_y - s.mean_x, float(np.trace(s.s_xx)) / 3
     if not scale > FALLEN**2 * s.total:
         return _nothing(s.mean_x, d)
-    S, C, constant = s.s_xx / scale, s.s_yx / scale, s.half_yy / scale
+    S, C = s.s_xx / scale, s.s_yx / scale
     U, sigma, W = np.linalg.svd(C)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ W))])
     R, K = (U * signs) @ W, (U * signs * sigma) @ U.T
@@ -179,12 +172,14 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
     values, vectors = np.linalg.eigh(hessian)
     if values[0] <= ROUNDING * values[1]:
         R = _least_turn(R, vectors[:, 0])
-    cost = max(constant + 0.5 * float(np.trace(S)) - float(np.trace(K)), 0.0)
-    variance = max(cost, LEAST * max(constant, 1.0)) * scale / s.weight * 2 / 3
+    squares = (s.half_yy / scale) + 0.5 * float(np.trace(S))
+    cost = max(squares - float(np.trace(K)), 0.0)
+    variance = max(cost, LEAST * squares) * scale / s.weight * 2 / 3
     information = hessian * scale / variance
     unseen = unseen_turns(information)
     return KnownDepthSolution(
-        status=status_of(True, True, information),
+        status=status_of(True, True, unseen),
+        rotation=R,
         candidates=R[None],
         costs=np.array([cost]),
         certified=True,
@@ -302,6 +297,7 @@ def _nothing(center: FloatArray, displacement: FloatArray) -> KnownDepthSolution
     """Points that fall together: nothing of the turn is seen."""
     return KnownDepthSolution(
         status=Status.TURN_NOT_OBSERVABLE,
+        rotation=np.full((3, 3), np.nan),
         candidates=np.full((1, 3, 3), np.nan),
         costs=np.zeros(1),
         certified=False,

@@ -43,8 +43,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import transpose
 from sylpose.paper.centralized import status_of, unseen_turns
 from sylpose.paper.orthographic import Views, quadratic_of, views_of
-from sylpose.paper.so3 import derivatives
-from sylpose.results import Status
+from sylpose.results import RotationEstimate, Status
 
 __all__ = ["OneCameraSolution", "solve_one_camera", "solve_unconstrained"]
 
@@ -58,7 +57,7 @@ STILL = 1e-15
 
 @dataclass(frozen=True, eq=False)
 class OneCameraSolution:
-    """The two rotations that one camera cannot tell apart, orthographic views.
+    """The two rotations that one camera cannot tell apart, orthographic views: two `RotationEstimate` in one.
 
     Attributes:
         status: OK, the rotation is found but for the mirror; TURN_NOT_OBSERVABLE, besides that something is `unseen`;
@@ -68,7 +67,7 @@ class OneCameraSolution:
         N: (2, 2) upper-left block of the rotation as the camera sees it (turned onto the mean rays, with `aim`).
         m: (2,) the rest of its first two rows, with m[0] > 0, or m[0] = 0 and m[1] >= 0.
         multiplier: (2, 2) L of Sylvester's equation in the units of `cost`; zero for the unconstrained estimate.
-        cost: half the sum of squared residuals, in units of 2/9 tr S_xx (those of `Quadratic` for this one camera).
+        cost: half the sum of squared residuals, in units of 2/9 tr S_xx (`Quadratic.scale` of this one camera).
         information: (2, 3, 3) of w, R = exp(w) rotations[k], world axes, 1/rad²: the Hessian of the cost on SO(3) over
             the residuals' variance, as in `CentralizedSolution`. It knows nothing of the other, mirrored solution.
         unseen: (2, k, 3) for each rotation the unit directions of w, world axes, that are not seen (`unseen_turns`).
@@ -84,6 +83,11 @@ class OneCameraSolution:
     information: FloatArray
     unseen: FloatArray
     iterations: int
+
+    def nearest(self, guess: FloatArray) -> RotationEstimate:
+        """Of the two that which is nearer to a guess (3, 3): the camera itself cannot tell."""
+        k = int(np.argmin(np.linalg.norm(self.rotations - guess, axis=(1, 2))))
+        return RotationEstimate(self.status, self.rotations[k], self.information[k], self.unseen[k], self.iterations)
 
 
 def solve_one_camera(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> OneCameraSolution:
@@ -262,16 +266,15 @@ def _solution(views: Views, axes: FloatArray, block: _Block) -> OneCameraSolutio
     m = (-m if m[0] < 0 or (m[0] == 0 and m[1] < 0) else m) + 0.0  # no -0
     rotations = transpose(views.rotation_y) @ np.array([_rotation(N, m), _rotation(N, -m)]) @ views.rotation_x
     q = quadratic_of(views)
-    _, hessian = derivatives(q.H, q.h, rotations)
-    information = hessian * q.scale / q.variance(rotations[0])
+    cost, _, _, information = q.at(rotations)
     unseen = unseen_turns(information)
     return OneCameraSolution(
-        status=status_of(True, block.proved, information[0]),
+        status=status_of(True, block.proved, unseen[0]),
         rotations=rotations,
         N=N,
         m=m,
         multiplier=4.5 * block.multiplier,
-        cost=q.cost(rotations[0]),
+        cost=float(cost[0] / q.scale),
         information=information,
         unseen=unseen,
         iterations=block.iterations,

@@ -18,10 +18,14 @@ from numpy.typing import ArrayLike
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import checked_rotations, transpose, turn_to
+from sylpose.paper.so3 import Quadratic
 
-__all__ = ["Quadratic", "Quadratics", "Views", "quadratic_of", "quadratics_of", "views_of"]
+__all__ = ["Terms", "Views", "quadratic_of", "quadratics_of", "terms_of", "views_of"]
 
 _Parts = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+
+# Spread up to this share of the squares about the origin is left by centring: some tens of roundings (derived).
+ROUNDING = 1e-14
 
 
 class Views(NamedTuple):
@@ -56,32 +60,18 @@ class Views(NamedTuple):
         )
 
 
-class Quadratic(NamedTuple):
-    """Half the sum of squared residuals over `scale`: 1/2 r'Hr - h'r + constant, r = vec(R), trace H = 9; weight = Σ w."""
+class Terms(NamedTuple):
+    """What C cameras' views are in Sylvester's equation, and in the cost that it is of (`Quadratic.of_terms`).
 
-    H: FloatArray
-    h: FloatArray
-    constant: float
-    scale: float
-    weight: float
+    Attributes:
+        A, B, C: (..., C, 3, 3).
+        constant: (..., C) half the sum of squares in frame j. weight: (..., C) Σ w.
+    """
 
-    def cost(self, rotation: FloatArray) -> float:
-        """At a rotation (3, 3), in units in which H has the mean eigenvalue 1."""
-        r = rotation.ravel()
-        return float(r @ (0.5 * self.H @ r - self.h)) + self.constant
-
-    def variance(self, rotation: FloatArray) -> float:
-        """Mean square residual per coordinate, normalised units; at least 1e-12 of the points' own."""
-        return max(self.cost(rotation), 1e-12 * max(self.constant, 1.0)) * self.scale / self.weight
-
-
-class Quadratics(NamedTuple):
-    """N of them: H (N, 9, 9), h (N, 9), and constant, scale, weight (N,)."""
-
-    H: FloatArray
-    h: FloatArray
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
     constant: FloatArray
-    scale: FloatArray
     weight: FloatArray
 
 
@@ -102,25 +92,26 @@ def views_of(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool 
     return Views(*_second_moments(Q, M, aim), float(_squares(M)))
 
 
-def quadratic_of(views: Views, *, symmetric: bool = False) -> Quadratic:
-    """The least squares over all cameras, depth ignored: H = Σ A_c ⊗ B_c, h = vec(Σ C_c) over `scale`, where
-
-        A_c = Q'P'PQ,   B_c = Q'P' S_xx P Q,   C_c = Q'P' S_yx P Q,   P = [1 0 0; 0 1 0].
-
-    Args:
-        symmetric: the mean of this and of the least squares of x = N'y + noise, so that exchanging the frames gives the
-            inverse rotation: two Sylvester terms per camera, A_c ⊗ B_c / 2 and Q'P' S_yy P Q ⊗ A_c / 2, and the same C_c.
-            See `solve_centralized`.
+def quadratic_of(views: Views) -> Quadratic:
+    """The least squares over all cameras, depth ignored: of `terms_of` these views.
 
     Raises:
         ValueError: no camera has matches with any spread.
     """
-    H, h, constant = _normal_equations(*views[:5], symmetric)
-    H, h, constant, scale = _scaled(H[None], h[None], constant[None], np.array([views.total]))
-    return Quadratic(H[0], h[0], float(constant[0]), float(scale[0]), float(views.weights.sum()))
+    q = Quadratic.of_terms(*terms_of(views))
+    _check_spread(q.scale[None], np.array([views.total]))
+    return q
 
 
-def quadratics_of(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True, symmetric: bool = False) -> Quadratics:
+def terms_of(views: Views) -> Terms:
+    """Each camera's terms of Sylvester's equation Σ A_c R B_c + L R = Σ C_c:
+
+    A_c = Q'P'PQ,   B_c = Q'P' S_xx P Q,   C_c = Q'P' S_yx P Q,   P = [1 0 0; 0 1 0].
+    """
+    return _terms(*views[:6])
+
+
+def quadratics_of(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True) -> Quadratic:
     """`quadratic_of` the `views_of` N problems of C cameras each; each problem's numbers depend on that problem alone.
 
     Args:
@@ -141,10 +132,9 @@ def quadratics_of(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True,
         Q = checked_rotations(Q.reshape(-1, *Q.shape[2:]), n * c).reshape(n, c, 3, 3)
     else:
         Q = checked_rotations(Q, c)
-    parts = _second_moments(Q, M, aim)
-    H, h, constant = _normal_equations(*parts[:5], symmetric)
-    H, h, constant, scale = _scaled(H, h, constant, _squares(M))
-    return Quadratics(H, h, constant, scale, parts[5].sum(axis=1))
+    q = Quadratic.of_terms(*_terms(*_second_moments(Q, M, aim)))
+    _check_spread(q.scale, _squares(M))
+    return q
 
 
 # The moments are centred and summed here, all cameras at once, for the sake of thousands of them. Axes before the
@@ -164,47 +154,27 @@ def _second_moments(Q: FloatArray, M: FloatArray, aim: bool) -> _Parts:
         Q = np.array(np.broadcast_to(Q, (*count.shape, 3, 3)))
         return Q, Q, Sxx, Syx, Syy, count
     # Turned by T onto a mean ray, δ away from it in the image, a point is P T Q X / Z at exactly (P T P') δ.
-    Tx, Ty = turn_to(Ex), turn_to(Ey)
+    Tx, Ty = turn_to(np.stack([Ex, Ey]))
     Jx, Jy = Tx[..., :2, :2], Ty[..., :2, :2]
     return Tx @ Q, Ty @ Q, Jx @ Sxx @ transpose(Jx), Jy @ Syx @ transpose(Jx), Jy @ Syy @ transpose(Jy), count
 
 
-def _normal_equations(
-    Qx: FloatArray, Qy: FloatArray, Sxx: FloatArray, Syx: FloatArray, Syy: FloatArray, symmetric: bool
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Summed over the cameras: H (..., 9, 9), h (..., 9), half the sum of squares of what is to be explained (...)."""
+def _terms(
+    Qx: FloatArray, Qy: FloatArray, Sxx: FloatArray, Syx: FloatArray, Syy: FloatArray, weights: FloatArray
+) -> Terms:
     PQx, PQy = Qx[..., :2, :], Qy[..., :2, :]
     A, B = transpose(PQy) @ PQy, transpose(PQx) @ Sxx @ PQx
-    h = (transpose(PQy) @ Syx @ PQx).sum(axis=-3)
-    constant = _trace_sum(Syy) / 2
-    if symmetric:
-        A = np.concatenate([A / 2, transpose(PQy) @ Syy @ PQy / 2], axis=-3)
-        B = np.concatenate([B, transpose(PQx) @ PQx], axis=-3)
-        constant = (constant + _trace_sum(Sxx) / 2) / 2
-    shape = h.shape[:-2]
-    # Σ A_c ⊗ B_c as one matrix product.
-    H = transpose(A.reshape(*A.shape[:-2], 9)) @ B.reshape(*B.shape[:-2], 9)
-    H = np.swapaxes(H.reshape(*shape, 3, 3, 3, 3), -2, -3).reshape(*shape, 9, 9)
-    return H, h.reshape(*shape, 9), constant
+    return Terms(A, B, transpose(PQy) @ Syx @ PQx, np.trace(Syy, axis1=-2, axis2=-1) / 2, weights)
 
 
-def _scaled(
-    H: FloatArray, h: FloatArray, constant: FloatArray, total: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """N problems' H, h and constant over their scale; and the scale (N,)."""
-    scale = np.trace(H, axis1=1, axis2=2) / 9
-    # What centring leaves by rounding is no spread.
-    flat = ~(scale > 1e-14 * total)
+def _check_spread(scale: FloatArray, total: FloatArray) -> None:
+    """Of N problems: what centring leaves by rounding is no spread."""
+    flat = ~(scale > ROUNDING * total)
     if flat.any():
-        which = f"problem {int(np.argmax(flat))}: " if len(H) > 1 else ""
+        which = f"problem {int(np.argmax(flat))}: " if len(scale) > 1 else ""
         raise ValueError(f"{which}no camera has matches that are spread over its image: there is nothing to turn")
-    return (H + transpose(H)) / (2 * scale[:, None, None]), h / scale[:, None], constant / scale, scale
 
 
 def _squares(M: FloatArray) -> FloatArray:
     """(..., C, 9, 9) matrices of pair moments -> (...) `Views.total`."""
     return np.asarray(M[..., [2, 5, 6, 7], [2, 5, 6, 7]].sum(axis=(-2, -1)))
-
-
-def _trace_sum(S: FloatArray) -> FloatArray:
-    return np.asarray(np.trace(S, axis1=-2, axis2=-1).sum(axis=-1))

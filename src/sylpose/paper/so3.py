@@ -1,8 +1,8 @@
-"""Minima of quadratic costs on SO(3), with a certificate: what the paper's estimators all come down to.
+"""Quadratic costs on SO(3) and their minima, with a certificate: what the paper's estimators all come down to.
 
-With r the row-major vec of R, the cost is 1/2 r'Hr - h'r, H positive semidefinite. Its stationary points on SO(3) solve
-K r = h with K = H + L ⊗ I and a symmetric 3x3 multiplier L, for costs of the form Σ A_c R B_c a generalised Sylvester's
-equation. If K is positive definite, R is the global minimum, because for every other rotation
+With r the row-major vec of R, the cost (`Quadratic`) is 1/2 r'Hr - h'r, H positive semidefinite. Its stationary points on
+SO(3) solve K r = h with K = H + L ⊗ I and a symmetric 3x3 multiplier L, for costs of the form Σ A_c R B_c a generalised
+Sylvester's equation. If K is positive definite, R is the global minimum, because for every other rotation
 cost(R2) - cost(R) = 1/2 (r2 - r)' K (r2 - r).
 
 Source: the equation is Chen & Schonfeld's (2010); the dual, the certificate and the search are ours.
@@ -10,12 +10,15 @@ Source: the equation is Chen & Schonfeld's (2010); the dual, the certificate and
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.matrices import transpose
 from sylpose.paper.so3_kernels import CERTIFICATE, FLAT, STATIONARY, derivatives_each, minimize_each
 
 __all__ = [
@@ -23,6 +26,8 @@ __all__ = [
     "FLAT",
     "STATIONARY",
     "Minima",
+    "Point",
+    "Quadratic",
     "cost_of",
     "derivatives",
     "minimize",
@@ -32,6 +37,97 @@ __all__ = [
 
 
 _STARTS = np.ascontiguousarray(Rotation.create_group("O").as_matrix())
+# Residuals' mean square is taken to be at least this share of the points' own: well above rounding's 1e-16 (choice).
+LEAST = 1e-12
+
+
+class Point(NamedTuple):
+    """What quadratic costs (...) are at rotations (..., 3, 3).
+
+    Attributes:
+        cost: (...) half the sum of squared residuals.
+        stationary: (...) no tangent derivative is above rounding (`STATIONARY`).
+        multiplier: (..., 3, 3) L of Sylvester's equation, in the cost's units.
+        information: (..., 3, 3) of w, exp(w) R, 1/rad²: the Hessian on SO(3) over `Quadratic.variance`.
+    """
+
+    cost: FloatArray
+    stationary: BoolArray
+    multiplier: FloatArray
+    information: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """Half a sum of squared residuals as a function of a rotation, 1/2 r'Hr - h'r + constant. Those of cameras add.
+
+    Not scaled, so that sums are sums: H is as large as the weights are many. Leading axes are problems.
+
+    Attributes:
+        H: (..., 9, 9) positive semidefinite.
+        h: (..., 9).
+        constant: (...) half the sum of squares of what is to be explained.
+        weight: (...) Σ w of the residuals, of two coordinates each.
+    """
+
+    H: FloatArray
+    h: FloatArray
+    constant: FloatArray
+    weight: FloatArray
+
+    @classmethod
+    def of_terms(
+        cls, A: FloatArray, B: FloatArray, C: FloatArray, constant: FloatArray, weight: FloatArray
+    ) -> Quadratic:
+        """Of Sylvester's equation Σ A_c R B_c + L R = Σ C_c: H = Σ A_c ⊗ B_c, h = vec(Σ C_c).
+
+        Args:
+            A, B, C: (..., C, 3, 3); A and B symmetric.
+            constant, weight: (..., C).
+        """
+        n = A.shape[:-3]
+        # One matrix product for all cameras.
+        H = transpose(A.reshape(*A.shape[:-2], 9)) @ B.reshape(*B.shape[:-2], 9)
+        H = np.swapaxes(H.reshape(*n, 3, 3, 3, 3), -2, -3).reshape(*n, 9, 9)
+        return cls((H + transpose(H)) / 2, C.sum(axis=-3).reshape(*n, 9), constant.sum(axis=-1), weight.sum(axis=-1))
+
+    @classmethod
+    def zero(cls) -> Quadratic:
+        """Of a camera that has nothing to say."""
+        return cls(np.zeros((9, 9)), np.zeros(9), np.zeros(()), np.zeros(()))
+
+    def __add__(self, other: Quadratic) -> Quadratic:
+        """The cost of both sets of residuals together."""
+        return Quadratic(self.H + other.H, self.h + other.h, self.constant + other.constant, self.weight + other.weight)
+
+    @cached_property
+    def scale(self) -> FloatArray:
+        """(...) the mean eigenvalue of H: what to divide by to compare costs with 1."""
+        return np.asarray(np.trace(self.H, axis1=-2, axis2=-1) / 9)
+
+    def cost(self, rotations: FloatArray) -> FloatArray:
+        """(...) at rotations (..., 3, 3)."""
+        return np.asarray(cost_of(self.H, self.h, rotations) + self.constant)
+
+    def variance(self, cost: FloatArray) -> FloatArray:
+        """(...) mean square residual per coordinate where the cost (...) is this; at least 1e-12 of the points' own."""
+        return np.asarray(np.maximum(cost, LEAST * self.size) / self.weight)
+
+    @property
+    def size(self) -> FloatArray:
+        """(...) of the points: half their sum of squares in frame j, and nearly so in frame i. It adds, as the cost does."""
+        return np.asarray(self.constant + self.scale)
+
+    def at(self, rotations: FloatArray) -> Point:
+        """All that is asked at rotations (..., 3, 3)."""
+        cost, gradient, hessian = _with_derivatives(self.H, self.h, rotations)
+        cost = cost + self.constant
+        return Point(
+            cost,
+            np.abs(gradient).max(axis=-1) < STATIONARY * self.scale,
+            multiplier_of(self.H, self.h, rotations),
+            hessian / self.variance(cost)[..., None, None],
+        )
 
 
 class Minima(NamedTuple):
@@ -52,7 +148,7 @@ class Minima(NamedTuple):
 
 
 def minimize(H: FloatArray, h: FloatArray) -> tuple[FloatArray, bool, int]:
-    """Minimise 1/2 r'Hr - h'r over SO(3), H (9, 9) positive semidefinite with trace 9, h (9,).
+    """Minimise 1/2 r'Hr - h'r over SO(3), H (9, 9) positive semidefinite, h (9,), of any scale.
 
     Returns (k, 3, 3) minima, best first; whether the first is certified as the global one; iterations.
     """
@@ -63,6 +159,10 @@ def minimize(H: FloatArray, h: FloatArray) -> tuple[FloatArray, bool, int]:
 def minimize_batch(H: FloatArray, h: FloatArray) -> Minima:
     """`minimize` for N costs, H (N, 9, 9) and h (N, 9): the same answers to the bit."""
     n = len(H)
+    # The kernels' limits are for H of mean eigenvalue 1.
+    scale = np.trace(H, axis1=1, axis2=2) / 9
+    scale = np.where(scale > 0, scale, 1.0)
+    H, h = H / scale[:, None, None], h / scale[:, None]
     candidates = np.full((n, len(_STARTS), 3, 3), np.nan)
     counts, iterations, certified = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.bool_)
     minimize_each(_plain(H), _plain(h), _STARTS, candidates, counts, certified, iterations)
@@ -73,8 +173,8 @@ def minimize_batch(H: FloatArray, h: FloatArray) -> Minima:
 def multiplier_of(H: FloatArray, h: FloatArray, rotations: FloatArray) -> FloatArray:
     """(..., 3, 3) L = (C - Σ A R B) R', made symmetric, which it is where the rotation is stationary; axes as `cost_of`."""
     R = rotations
-    L = (h - _times(H, R)).reshape(R.shape) @ np.swapaxes(R, -1, -2)
-    return np.asarray((L + np.swapaxes(L, -1, -2)) / 2)
+    L = (h - _times(H, R)).reshape(R.shape) @ transpose(R)
+    return np.asarray((L + transpose(L)) / 2)
 
 
 def cost_of(H: FloatArray, h: FloatArray, rotations: FloatArray) -> FloatArray:
@@ -88,17 +188,22 @@ def derivatives(H: FloatArray, h: FloatArray, rotations: FloatArray) -> tuple[Fl
 
     H (..., 9, 9) and h (..., 9) broadcast.
     """
+    return _with_derivatives(H, h, rotations)[1:]
+
+
+def _with_derivatives(H: FloatArray, h: FloatArray, rotations: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`cost_of` and `derivatives`."""
     shape, n = rotations.shape[:-2], rotations[..., 0, 0].size
-    gradient, hessian = np.empty((*shape, 3)), np.empty((*shape, 3, 3))
+    cost, gradient, hessian = np.empty(shape), np.empty((*shape, 3)), np.empty((*shape, 3, 3))
     derivatives_each(
         _plain(np.broadcast_to(H, (*shape, 9, 9)).reshape(n, 9, 9)),
         _plain(np.broadcast_to(h, (*shape, 9)).reshape(n, 9)),
         _plain(rotations.reshape(n, 3, 3)),
-        np.empty(n),
+        cost.reshape(n),
         gradient.reshape(n, 3),
         hessian.reshape(n, 3, 3),
     )
-    return gradient, hessian
+    return cost, gradient, hessian
 
 
 def _times(H: FloatArray, rotations: FloatArray) -> FloatArray:

@@ -129,7 +129,9 @@ def _observations(frames: Sequence[Track]) -> tuple[Observations, FloatArray]:
     cameras = np.concatenate([np.repeat(np.arange(len(n)), n) for n in counts])
     frame = np.repeat(np.arange(len(frames)), [sum(n) for n in counts])
     every = [s for f in frames for s in f.sightings]
-    _, landmark = np.unique(np.concatenate([s.landmark for s in every]), return_inverse=True)
+    # Each camera has numbers of its own.
+    number = np.concatenate([s.landmark for s in every])
+    _, landmark = np.unique(cameras * (number.max(initial=0) + 1) + number, return_inverse=True)
     used = _worth_using(frame, landmark)
     _, names = np.unique(landmark[used], return_inverse=True)
     places = np.zeros((int(names.max(initial=-1)) + 1, 3))

@@ -8,7 +8,6 @@ are still followed and adds new ones beside them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,13 +17,12 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.klt import Tracks, advance, begin, grey
 from sylpose.features.sift import Features
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
-from sylpose.rig import Rig
-from sylpose.tracking.frame import Pair, Reference
+from sylpose.rig import Camera
+from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame
+from sylpose.tracking.records import Following
 
 __all__ = ["Anchor", "Followed", "begin_anchor", "follow", "with_new"]
 
-Images = Sequence[Image | None]
-Regions = Sequence[FloatArray | None]
 
 # Features per camera that an anchor has in all, if there are so many (keyframes are anchors, and are searched by them), and
 # how many are followed of them; how many of these are new at least.
@@ -40,106 +38,104 @@ ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 0.4, 0.25, 60, np.radian
 ASK_AGAIN = 8
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Anchor:
-    """A frame whose features are followed, as far as they have been.
+    """A frame whose features are followed: what all cameras know of it.
 
     Attributes:
-        reference: the frame; its landmarks learn what the followed features show.
-        tracks: per camera, a row for each of the reference's features.
-        alive: per camera (n,), False for features that turned out not to be on the object.
-        images: per camera the last one, grey; None before the camera's first.
+        frame: its landmarks learn what the followed features show.
         age: number of frames that were solved by its features alone.
     """
 
-    reference: Reference
-    tracks: list[Tracks]
-    alive: list[BoolArray]
-    images: list[Image | None]
+    frame: SolvedFrame
     age: int = 0
 
-    def suffices(self, followed: Followed, ahead: RigidTransform, regions: Regions) -> bool:
-        """Whether enough of the features are still seen to do without new ones.
 
-        Args:
-            ahead: world_from_object as predicted for the frame.
-            regions: of the object, per camera; None where it is out of sight.
-        """
-        turn = (ahead.rotation * self.reference.world_from_object.rotation.inv()).magnitude()
-        found, alive = np.array([len(rows) for rows in followed.rows]), np.array([n.sum() for n in self.alive])
-        enough = found.sum() >= max(ANCHOR_SHARE * alive.sum(), MIN_FOLLOWED) and (found >= CAMERA_SHARE * alive).all()
-        for image, region, before, n in zip(followed.images, regions, self.images, alive, strict=True):
-            # A camera that gives images again takes part at once; one that saw nothing is asked again after a while.
-            looks = image is not None and region is not None
-            enough &= not (looks and before is None)
-            enough &= not (looks and n == 0 and self.age >= ASK_AGAIN)
-        return bool(enough and turn < ANCHOR_TURN)
+@dataclass(frozen=True, eq=False)
+class CameraAnchor:
+    """One camera's side of it: its features, as far as they have been followed.
 
-    def go_on(self, followed: Followed, pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> None:
-        """A frame was solved by its features alone: what did not agree there is not on the object."""
-        for pair, w in zip(pairs, weights, strict=True):
-            self.alive[pair.camera][pair.indices[w == 0, 0]] = False
-        self.tracks = followed.tracks
-        self.images = [old if new is None else new for old, new in zip(self.images, followed.images, strict=True)]
-        self.age += 1
+    Attributes:
+        number: of the anchor's frame; frame: what the camera has of it.
+        tracks: a row for each of the frame's features.
+        alive: (n,) False for features that turned out not to be on the object.
+        image: the last one, grey; None before the camera's first.
+    """
+
+    number: int
+    frame: CameraFrame
+    tracks: Tracks
+    alive: BoolArray
+    image: Image | None
 
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """What an anchor's features look like in a frame.
+    """What an anchor's features look like in a camera's image.
 
     Attributes:
         anchor: whose features they are.
-        rows: per camera (m,) which of the anchor's features were found.
-        features: per camera, those features in the frame.
-        before: per camera (m, 2) where they were in the frame before; NaN for those that were lost there.
-        tracks: per camera, of all of the anchor's features.
-        images: per camera the frame's, grey, or None.
+        rows: (m,) which of the anchor's features were found.
+        features: those, in the frame.
+        before: (m, 2) where they were in the frame before; NaN for those that were lost there.
+        tracks: of all of the anchor's features.
+        image: the frame's, grey, or None.
     """
 
-    anchor: Anchor
-    rows: tuple[IntArray, ...]
-    features: tuple[Features, ...]
-    before: tuple[FloatArray, ...]
-    tracks: list[Tracks]
-    images: list[Image | None]
+    anchor: CameraAnchor
+    rows: IntArray
+    features: Features
+    before: FloatArray
+    tracks: Tracks
+    image: Image | None
 
     def __len__(self) -> int:
-        return sum(len(rows) for rows in self.rows)
+        return len(self.rows)
 
-    def pairs(self) -> list[Pair]:
-        """Their matches with the anchor; in the frame they are the first features of each camera."""
-        anchor, found = self.anchor.reference, []
-        for c, (rows, b) in enumerate(zip(self.rows, self.features, strict=True)):
-            if len(rows):
-                a = anchor.features[c]
-                indices = np.column_stack([rows, np.arange(len(rows))])
-                found.append(Pair(c, anchor, indices, a.pixels[rows], b.pixels, a.normalized[rows], b.normalized))
-        return found
+    def pair(self) -> Pair:
+        """Their matches with the anchor; in the frame they are the camera's first features."""
+        indices = np.column_stack([self.rows, np.arange(len(self.rows))])
+        return Pair.of(self.anchor.number, self.anchor.frame, self.features, indices)
+
+    def report(self, region: FloatArray | None) -> Following:
+        """What `suffices` asks of each camera, given the object's region in its image, None where it is out of sight."""
+        looks = self.image is not None and region is not None
+        return Following(len(self), int(self.anchor.alive.sum()), looks, self.anchor.image is not None)
 
 
-def begin_anchor(current: Reference, images: Images, before: Followed | None) -> Anchor:
+def suffices(reports: Sequence[Following], anchor: Anchor, ahead: RigidTransform) -> bool:
+    """Whether enough of an anchor's features are still seen to do without new ones.
+
+    Args:
+        ahead: world_from_object as predicted for the frame.
+    """
+    turn = (ahead.rotation * anchor.frame.world_from_object.rotation.inv()).magnitude()
+    found, alive = np.array([r.found for r in reports]), np.array([r.alive for r in reports])
+    enough = found.sum() >= max(ANCHOR_SHARE * alive.sum(), MIN_FOLLOWED) and (found >= CAMERA_SHARE * alive).all()
+    for r in reports:
+        # A camera that gives images again takes part at once; one that saw nothing is asked again after a while.
+        enough &= not (r.looks and not r.follows)
+        enough &= not (r.looks and r.alive == 0 and anchor.age >= ASK_AGAIN)
+    return bool(enough and turn < ANCHOR_TURN)
+
+
+def begin_anchor(number: int, current: CameraFrame, image: Image | None, before: Followed | None) -> CameraAnchor:
     """Makes a solved frame an anchor.
 
     Args:
-        images: the frame's, per camera.
-        before: what was followed up to it: the first features of each of its cameras. They keep their patches.
+        image: the frame's.
+        before: what was followed up to it: the camera's first features. They keep their patches.
     """
-    greys = _greys(images) if before is None else before.images
-    tracks = []
-    for c, (features, image) in enumerate(zip(current.features, greys, strict=True)):
-        known = 0 if before is None else len(before.rows[c])
-        if image is None:
-            image = np.zeros((1, 1), np.uint8)  # where nothing can be begun
-        new = begin(image, features.pixels[known:])
-        tracks.append(new if before is None else before.tracks[c].subset(before.rows[c]).join(new))
-    carried = [0] * len(tracks) if before is None else [len(rows) for rows in before.rows]
-    alive = [_some(t.followed, n) for t, n in zip(tracks, carried, strict=True)]
-    return Anchor(current, tracks, alive, greys)
+    image = _grey(image) if before is None else before.image
+    known = 0 if before is None else len(before)
+    # Without an image nothing can be begun.
+    new = begin(np.zeros((1, 1), np.uint8) if image is None else image, current.features.pixels[known:])
+    tracks = new if before is None else before.tracks.subset(before.rows).join(new)
+    return CameraAnchor(number, current, tracks, _some(tracks.followed, known), image)
 
 
-def _greys(images: Images) -> list[Image | None]:
-    return [None if image is None else grey(image) for image in images]
+def _grey(image: Image | None) -> Image | None:
+    return None if image is None else grey(image)
 
 
 def _some(followed: BoolArray, known: int) -> BoolArray:
@@ -152,71 +148,63 @@ def _some(followed: BoolArray, known: int) -> BoolArray:
     return some
 
 
+def gone_on(followed: Followed, pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> CameraAnchor:
+    """The anchor after a frame that was solved by its features alone: what did not agree there is not on the object."""
+    anchor, alive = followed.anchor, followed.anchor.alive.copy()
+    for pair, w in zip(pairs, weights, strict=True):
+        alive[pair.indices[w == 0, 0]] = False
+    image = anchor.image if followed.image is None else followed.image
+    return CameraAnchor(anchor.number, anchor.frame, followed.tracks, alive, image)
+
+
 def follow(
-    anchor: Anchor,
-    rig: Rig,
+    anchor: CameraAnchor,
+    camera: Camera,
     last: RigidTransform,
     ahead: RigidTransform,
-    images: Images,
-    masks: Sequence[BoolArray | None],
+    image: Image | None,
+    mask: BoolArray | None,
     radius: float,
-    pool: Executor,
 ) -> Followed:
-    """Looks for an anchor's features in the next images.
+    """Looks for an anchor's features in the camera's next image.
 
     Args:
-        last, ahead: world_from_object, of the images they were last followed to and as predicted for these.
-        images: the frame's, per camera; masks: (h, w), True on the object.
+        last, ahead: world_from_object, of the image they were last followed to and as predicted for this.
+        image: the frame's; mask: (h, w), True on the object.
         radius: of the object.
-        pool: one job per camera.
     """
-
-    def run(c: int) -> tuple[IntArray, Features, Tracks]:
-        camera, image, before, tracks = rig.cameras[c], greys[c], anchor.images[c], anchor.tracks[c]
-        if image is None or before is None or not anchor.alive[c].any():
-            return np.empty(0, np.int64), Features.none(), tracks
-        landmarks = anchor.reference.landmarks[c]
-        expected, was = (camera.project(pose.apply(landmarks.mean)) for pose in (ahead, last))
-        # Where a feature was is known better than where its landmark's image was; that tells only how it moves.
-        guess = np.where(tracks.followed[:, None], tracks.pixels + expected - was, expected)
-        guess[~(tracks.followed | (landmarks.depth_sd < KNOWN_DEPTH * radius)) | ~anchor.alive[c]] = np.nan
-        tracks = advance(tracks.keep(anchor.alive[c]), before, image, guess)
-        rows = np.flatnonzero(tracks.followed)
-        mask = masks[c]
-        if mask is not None:
-            column, row = np.round(tracks.pixels[rows]).astype(np.int64).T
-            rows = rows[mask[row, column]]
-        pixels = tracks.pixels[rows]
-        features = Features(pixels, camera.normalize(pixels), anchor.reference.features[c].descriptors[rows])
-        return rows, features, tracks
-
-    greys = _greys(images)
-    was_at = [tracks.pixels for tracks in anchor.tracks]
-    found = list(pool.map(run, range(len(rig))))
-    before = tuple(pixels[f[0]] for pixels, f in zip(was_at, found, strict=True))
-    rows, features = tuple(f[0] for f in found), tuple(f[1] for f in found)
-    return Followed(anchor, rows, features, before, [f[2] for f in found], greys)
+    image, tracks = _grey(image), anchor.tracks
+    if image is None or anchor.image is None or not anchor.alive.any():
+        return Followed(anchor, np.empty(0, np.int64), Features.none(), np.empty((0, 2)), tracks, image)
+    landmarks = anchor.frame.landmarks
+    expected, was = (camera.project(pose.apply(landmarks.mean)) for pose in (ahead, last))
+    # Where a feature was is known better than where its landmark's image was; that tells only how it moves.
+    guess = np.where(tracks.followed[:, None], tracks.pixels + expected - was, expected)
+    guess[~(tracks.followed | (landmarks.depth_sd < KNOWN_DEPTH * radius)) | ~anchor.alive] = np.nan
+    tracks = advance(tracks.keep(anchor.alive), anchor.image, image, guess)
+    rows = np.flatnonzero(tracks.followed)
+    if mask is not None:
+        column, row = np.round(tracks.pixels[rows]).astype(np.int64).T
+        rows = rows[mask[row, column]]
+    pixels = tracks.pixels[rows]
+    features = Features(pixels, camera.normalize(pixels), anchor.frame.features.descriptors[rows])
+    return Followed(anchor, rows, features, anchor.tracks.pixels[rows], tracks, image)
 
 
-def with_new(followed: Followed, detected: Sequence[Features], known: Sequence[BoolArray]) -> tuple[Features, ...]:
-    """Per camera the followed features, then some of the detected ones that are not near to any of them.
+def with_new(followed: Followed, detected: Features, background: BoolArray) -> Features:
+    """The followed features, then some of the detected ones that are not near to any of them.
 
     Args:
-        known: per camera (n,), which of the detected ones are known to be background.
+        background: (n,), which of the detected ones are known to be background.
     """
-    merged = []
-    for a, b, background in zip(followed.features, detected, known, strict=True):
-        b = b.subset(~background)
-        if len(a) and len(b):
-            b = b.subset(cKDTree(a.pixels).query(b.pixels)[0] > SAME_PX)
-        wanted = max(FEATURES - len(a), MIN_NEW)
-        if len(b) > wanted:
-            b = b.subset(np.arange(wanted) * len(b) // wanted)
-        merged.append(
-            Features(
-                np.concatenate([a.pixels, b.pixels]),
-                np.concatenate([a.normalized, b.normalized]),
-                np.concatenate([a.descriptors, b.descriptors]),
-            )
-        )
-    return tuple(merged)
+    a, b = followed.features, detected.subset(~background)
+    if len(a) and len(b):
+        b = b.subset(cKDTree(a.pixels).query(b.pixels)[0] > SAME_PX)
+    wanted = max(FEATURES - len(a), MIN_NEW)
+    if len(b) > wanted:
+        b = b.subset(np.arange(wanted) * len(b) // wanted)
+    return Features(
+        np.concatenate([a.pixels, b.pixels]),
+        np.concatenate([a.normalized, b.normalized]),
+        np.concatenate([a.descriptors, b.descriptors]),
+    )

@@ -1,8 +1,8 @@
-"""A solved frame that later ones are matched against, and what is learnt of its features."""
+"""A frame: what each camera has of it, and its pose once it is solved; matches between two frames of a camera."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,11 +12,20 @@ from sylpose.features.sift import Features, match_features
 from sylpose.landmarks.places import Landmarks
 from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
-from sylpose.rig import Rig
+from sylpose.rig import Camera
 from sylpose.two_frames.terms import TermData
 
-__all__ = ["Pair", "Reference", "inliers_of", "learn_background", "match_pair", "still", "triangulate"]
-
+__all__ = [
+    "CameraFrame",
+    "Frame",
+    "Pair",
+    "SolvedFrame",
+    "inliers_of",
+    "learn_background",
+    "match_pair",
+    "still",
+    "triangulate",
+]
 
 # A feature that stands still where the object's surface moved by this much is background.
 BACKGROUND_PX = 4.0
@@ -25,53 +34,85 @@ DEPTH_SHARE = 0.1
 
 
 @dataclass(eq=False)
-class Reference:
-    """One frame: its features, which of them are background, and its pose once it is solved.
+class CameraFrame:
+    """What one camera has of one frame, and keeps to itself.
 
     Attributes:
-        index: frame number.
-        time: seconds.
-        features: per camera.
-        landmarks: per camera, set when the frame is solved.
-        background: per camera (n,), features that were found to stand still where the object moved.
-        world_from_object: set when the frame is solved.
-        covariance: (6, 6) of (w, d), docs/conventions.md.
-        viewpoints: (C, 3) the cameras' centres in the object's frame, set when the frame is solved.
-        age: in how many frames the landmarks were usually seen that it was solved with.
-        late: (C,) seconds after `time` that each camera took its image.
+        features: of its image.
+        background: (n,) which of them were found to stand still where the object moved; filled in as they are matched.
+        landmarks: of the features, once the frame is solved.
     """
 
-    index: int
+    features: Features
+    background: BoolArray
+    landmarks: Landmarks = field(default_factory=Landmarks.none)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A frame that is not solved: it has no pose.
+
+    Attributes:
+        number: frames are numbered as they come.
+        time: seconds.
+        late: (C,) seconds after `time` that each camera took its image.
+        cameras: what each has of it.
+    """
+
+    number: int
     time: float
-    features: tuple[Features, ...]
-    background: tuple[BoolArray, ...]
-    landmarks: tuple[Landmarks, ...] = ()
-    world_from_object: RigidTransform = field(default_factory=RigidTransform.identity)
-    covariance: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
-    viewpoints: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    late: FloatArray
+    cameras: Sequence[CameraFrame]
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedFrame:
+    """A frame with its pose: what all cameras know of it. What each has of it besides, it keeps under the number.
+
+    Attributes:
+        number, time, late: as in `Frame`.
+        world_from_object: the pose.
+        covariance: (6, 6) of (w, d), docs/conventions.md.
+        viewpoints: (C, 3) the cameras' centres in the object's frame.
+        sees: (C,) which cameras have features of it.
+        age: in how many frames the landmarks were usually seen that it was solved with.
+    """
+
+    number: int
+    time: float
+    late: FloatArray
+    world_from_object: RigidTransform
+    covariance: FloatArray
+    viewpoints: FloatArray
+    sees: BoolArray
     age: float = 1.0
-    late: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Matches of one camera between a reference and the current frame.
+    """Matches of one camera between an earlier frame and the current one.
 
     Attributes:
-        camera: index in the rig.
-        reference: the earlier frame.
-        indices: (n, 2) into the reference's and the current frame's features.
+        reference: the earlier frame's number.
+        earlier: what the camera has of it.
+        indices: (n, 2) into the earlier and the current frame's features.
         pixels_i, pixels_j: (n, 2) as recorded.
         normalized_i, normalized_j: (n, 2).
     """
 
-    camera: int
-    reference: Reference
+    reference: int
+    earlier: CameraFrame
     indices: IntArray
     pixels_i: FloatArray
     pixels_j: FloatArray
     normalized_i: FloatArray
     normalized_j: FloatArray
+
+    @classmethod
+    def of(cls, reference: int, earlier: CameraFrame, later: Features, indices: IntArray) -> Pair:
+        """The matches that the indices (n, 2) say."""
+        a, (i, j) = earlier.features, indices.T
+        return cls(reference, earlier, indices, a.pixels[i], later.pixels[j], a.normalized[i], later.normalized[j])
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -87,27 +128,37 @@ class Pair:
             normalized_j=self.normalized_j[mask],
         )
 
-    def term(self, rig: Rig, base: Reference) -> TermData:
-        """The matches as a term of the motion that starts at the frame `base`."""
-        camera = rig.cameras[self.camera]
-        moved = None
-        if base is not self.reference:
-            moved = base.world_from_object * self.reference.world_from_object.inv()
-        return TermData(
-            self.camera, self.normalized_i, self.normalized_j, camera.rotation, camera.center, camera.focal, moved
-        )
+    @property
+    def landmarks(self) -> Landmarks:
+        """(n) of the matches, as the earlier frame has them."""
+        return self.earlier.landmarks.subset(self.indices[:, 0])
+
+    def term(self, index: int, camera: Camera, moved: RigidTransform | None = None) -> TermData:
+        """The matches as a term of a motion.
+
+        Args:
+            index: of the camera in the rig.
+            moved: takes the object from the earlier frame to the one that the motion starts from; None: the same.
+        """
+        x, y = self.normalized_i, self.normalized_j
+        return TermData(index, x, y, camera.rotation, camera.center, camera.focal, moved)
 
 
-def match_pair(reference: Reference, current: Reference, camera: int) -> Pair:
-    """Matches of one camera, without the reference's known background (which is passed on to the current frame)."""
-    a, b = reference.features[camera], current.features[camera]
+def base_from_reference(pair: Pair, base: SolvedFrame, known: Mapping[int, SolvedFrame]) -> RigidTransform | None:
+    """What `Pair.term` takes as `moved`, of the frames whose poses are known."""
+    if pair.reference == base.number:
+        return None
+    return base.world_from_object * known[pair.reference].world_from_object.inv()
+
+
+def match_pair(reference: int, earlier: CameraFrame, current: CameraFrame) -> Pair:
+    """Matches of one camera, without the earlier frame's known background (which is passed on to the current frame)."""
+    a, b = earlier.features, current.features
     indices = match_features(a, b)
-    known = reference.background[camera][indices[:, 0]]
+    known = earlier.background[indices[:, 0]]
     standing = np.linalg.norm(a.pixels[indices[:, 0]] - b.pixels[indices[:, 1]], axis=1) < STILL_PX
-    current.background[camera][indices[known & standing, 1]] = True
-    indices = indices[~known & ~current.background[camera][indices[:, 1]]]
-    i, j = indices.T
-    return Pair(camera, reference, indices, a.pixels[i], b.pixels[j], a.normalized[i], b.normalized[j])
+    current.background[indices[known & standing, 1]] = True
+    return Pair.of(reference, earlier, b, indices[~known & ~current.background[indices[:, 1]]])
 
 
 def inliers_of(pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> list[Pair]:
@@ -121,31 +172,37 @@ def still(pair: Pair) -> BoolArray:
     return np.asarray(np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1) < STILL_PX)
 
 
-def learn_background(pairs: Sequence[Pair], rig: Rig, current: Reference, radius: float) -> None:
-    """Marks features as background in both frames: those that stand still where a point on the object moved."""
-    for pair in pairs:
-        camera = rig.cameras[pair.camera]
-        reference = pair.reference
-        # Where each point would be now if it were on the object, at the depth of its centre.
-        middle = camera.camera_from_world.apply(reference.world_from_object.translation)[2]
-        motion = current.world_from_object * reference.world_from_object.inv()
-        moved = np.full(len(pair), np.inf)
-        for depth in (middle - radius, middle, middle + radius):
-            points = max(depth, 0.1 * middle) * np.column_stack([pair.normalized_i, np.ones(len(pair))])
-            expected = camera.project(motion.apply(camera.camera_from_world.inv().apply(points)))
-            moved = np.fmin(moved, np.linalg.norm(expected - pair.pixels_i, axis=1))
-        background = still(pair) & (moved > BACKGROUND_PX)
-        reference.background[pair.camera][pair.indices[background, 0]] = True
-        current.background[pair.camera][pair.indices[background, 1]] = True
+def learn_background(
+    pair: Pair, current: CameraFrame, camera: Camera, before: RigidTransform, now: RigidTransform, radius: float
+) -> None:
+    """Marks features as background in both frames: those that stand still where a point on the object moved.
+
+    Args:
+        before, now: world_from_object.
+        radius: of the object.
+    """
+    # Where each point would be now if it were on the object, at the depth of its centre.
+    middle = camera.camera_from_world.apply(before.translation)[2]
+    motion = now * before.inv()
+    moved = np.full(len(pair), np.inf)
+    for depth in (middle - radius, middle, middle + radius):
+        points = max(depth, 0.1 * middle) * np.column_stack([pair.normalized_i, np.ones(len(pair))])
+        expected = camera.project(motion.apply(camera.camera_from_world.inv().apply(points)))
+        moved = np.fmin(moved, np.linalg.norm(expected - pair.pixels_i, axis=1))
+    background = still(pair) & (moved > BACKGROUND_PX)
+    pair.earlier.background[pair.indices[background, 0]] = True
+    current.background[pair.indices[background, 1]] = True
 
 
-def triangulate(pair: Pair, rig: Rig, current: Reference) -> FloatArray:
+def triangulate(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTransform) -> FloatArray:
     """The matches' places in the object's frame (m, 3), those whose depth is known well enough.
 
-    Each camera's two views of a moving object are two views of a standing object from a moving camera.
+    A camera's two views of a moving object are two views of a standing object from a moving camera.
+
+    Args:
+        before, now: world_from_object.
     """
-    camera = rig.cameras[pair.camera]
-    object_from_world_i, object_from_world_j = (frame.world_from_object.inv() for frame in (pair.reference, current))
+    object_from_world_i, object_from_world_j = before.inv(), now.inv()
     start, end = object_from_world_i.apply(camera.center), object_from_world_j.apply(camera.center)
     ones = np.ones((len(pair), 1))
     u = object_from_world_i.rotation.apply(np.hstack([pair.normalized_i, ones]) @ camera.rotation)

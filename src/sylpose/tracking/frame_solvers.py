@@ -1,150 +1,251 @@
-"""How the tracker finds one frame's pose from its matches with earlier frames."""
+"""How one frame's pose is found from its matches with earlier frames: the methods of the tracker."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from sylpose.landmarks.alignment import Aligned, Sights, align
-from sylpose.landmarks.alignment_kernels import CUTOFF
-from sylpose.landmarks.places import Landmarks
-from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.landmarks.alignment import Sights
+from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.known_depth import solve_2d3d
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.tracking.frame import Pair, Reference, still
+from sylpose.tracking.crew import Crew
+from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, base_from_reference
+from sylpose.tracking.records import Chance, Known, total_ages
+from sylpose.tracking.sights import ages_of, chance_of, cut, sights_of, smear, usual_age, with_trust
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
 from sylpose.two_frames.solver import fit_terms
+from sylpose.two_frames.terms import TermData
 
-__all__ = ["SOLVERS", "best_landmarks", "usual_age"]
+__all__ = ["SOLVERS", "Agreement", "Problem", "Solution", "dealt", "gathered"]
 
 Hypothesis = tuple[FloatArray, FloatArray]
-# (rig, pairs, current frame, base, radius, guess of (R, d) from the base, rng) -> one weight array per pair in the fit.
-Solver = Callable[[Rig, Sequence[Pair], Reference, Reference, float, Hypothesis, np.random.Generator], Fit]
+# Of one camera, (weights, residuals in pixels) of each of its pairs.
+Agreement = list[tuple[FloatArray, FloatArray]]
 
 # Above this mean robust cost most landmarks contradict the pose that was started from: other starts are tried.
 POOR_COST = 0.6
+# Noise that another start is given, pixels: it was fitted to the same matches.
+OTHER_START_PX = 4.0
+# Weight of a landmark that stands still and never moved, while others move: just below `sights.TRUSTED`.
+STILL_TRUST = 0.05
+# So large a share of inliers is not had by chance.
+CERTAIN_SHARE = 0.8
 # So many sights of a feature leave its depth a guess.
 YOUNG = 3
-# Weight of a landmark that stands still and never moved, while others move.
-STILL_TRUST = 0.05
 # A depth is known where it moves the landmark's image by less than this, pixels; the 2D-3D equation wants so many.
 KNOWN_PX, KNOWN = 1.0, 30
 # Depths and motion are found in turns so often at most, until the rotation changes by less.
 POSIT_ROUNDS, POSIT_SETTLED = 20, 1e-6
-# Landmarks with less trust are no evidence that a pose is right.
-TRUSTED = 0.06
 
 
-def solve_epipolar(
-    rig: Rig,
-    pairs: Sequence[Pair],
-    _current: Reference,
-    base: Reference,
-    radius: float,
-    guess: Hypothesis,
-    rng: np.random.Generator,
-) -> Fit:
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is known before a frame is solved.
+
+    Attributes:
+        rig: the cameras as they stand for this frame.
+        base: the last solved frame: the motion sought starts from it.
+        known: all solved frames that matches may refer to, by number.
+        radius: of the object.
+        guess: (R, d) from the base: X -> R (X - g) + g + d about the object's centre g in the base frame.
+        seed: of the outlier rejection.
+        frames, pairs: by camera, each its own: what it sees, and its matches.
+    """
+
+    rig: Rig
+    base: SolvedFrame
+    known: Mapping[int, SolvedFrame]
+    radius: float
+    guess: Hypothesis
+    seed: int
+    frames: Sequence[CameraFrame]
+    pairs: Sequence[Sequence[Pair]]
+
+    @property
+    def center(self) -> FloatArray:
+        """(3,) g."""
+        return np.asarray(self.base.world_from_object.translation)
+
+    def rng(self) -> np.random.Generator:
+        """The same for the same frame, whatever came before."""
+        return np.random.default_rng(self.seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A frame's motion since the base.
+
+    Attributes:
+        status: see `Status`.
+        rotation: (3, 3) R and shift: (3,) d; meaningless without `status.has_pose`.
+        information: (6, 6) of (w, d).
+        iterations: of the solver.
+        agreement: by camera, each its own.
+        doubt: (C,) 1, or more for cameras that disagree with the others, see `Aligned`.
+        faults: a sentence for each camera that is recognised to be at fault.
+    """
+
+    status: Status
+    rotation: FloatArray
+    shift: FloatArray
+    information: FloatArray
+    iterations: int
+    agreement: Sequence[Agreement]
+    doubt: FloatArray
+    faults: tuple[str, ...] = ()
+
+
+Solver = Callable[[Crew, Problem], Solution]
+
+
+def gathered(of_cameras: Sequence[Sequence[TermData]]) -> list[TermData]:
+    """All cameras' terms, for estimators that want them at one place."""
+    return [term for terms in of_cameras for term in terms]
+
+
+def dealt(fit: Fit, of_cameras: Sequence[Sequence[TermData]]) -> list[Agreement]:
+    """By camera what a fit to `gathered` terms says of them."""
+    parts = iter(zip(fit.weights, fit.residuals, strict=True))
+    return [[next(parts) for _ in terms] for terms in of_cameras]
+
+
+def _terms(crew: Crew, problem: Problem, *, near: bool = False) -> list[list[TermData]]:
+    """By camera the terms of its pairs; `near`: of those with the base alone."""
+
+    def of(c: int) -> list[TermData]:
+        camera, base, known = problem.rig.cameras[c], problem.base, problem.known
+        pairs = [pair for pair in problem.pairs[c] if not near or pair.reference == base.number]
+        return [pair.term(c, camera, base_from_reference(pair, base, known)) for pair in pairs]
+
+    return crew.ask(of)
+
+
+def _solution(problem: Problem, fit: Fit, agreement: Sequence[Agreement]) -> Solution:
+    no_doubt = np.ones(len(problem.rig))
+    return Solution(
+        fit.status, fit.rotation, fit.shift, fit.information, fit.iterations, agreement, no_doubt, fit.faults
+    )
+
+
+def _nothing(crew: Crew, problem: Problem, status: Status) -> Solution:
+    """Of a status without a pose."""
+
+    def of(c: int) -> Agreement:
+        return [(np.zeros(len(pair)), np.zeros(len(pair))) for pair in problem.pairs[c]]
+
+    return _solution(problem, no_fit([], status), crew.each(of))
+
+
+def solve_epipolar(crew: Crew, problem: Problem) -> Solution:
     """Epipolar geometry against all references at once; what is known of the features' depth is not used."""
-    data = [pair.term(rig, base) for pair in pairs]
-    return fit_terms(data, base.world_from_object.translation, radius, [guess], rng)
+    terms = _terms(crew, problem)
+    fit = fit_terms(gathered(terms), problem.center, problem.radius, [problem.guess], problem.rng())
+    return _solution(problem, fit, dealt(fit, terms))
 
 
-def solve_paper(
-    method: str,
-    rig: Rig,
-    pairs: Sequence[Pair],
-    _current: Reference,
-    base: Reference,
-    radius: float,
-    guess: Hypothesis,
-    rng: np.random.Generator,
-) -> Fit:
+def solve_paper(method: str, crew: Crew, problem: Problem) -> Solution:
     """One of the paper's estimators, against the last solved frame alone; the other references are left out."""
-    center = base.world_from_object.translation
-    data = [pair.term(rig, base) for pair in pairs]
-    near = [i for i, pair in enumerate(pairs) if pair.reference is base]
-    fit = fit_terms([data[i] for i in near], center, radius, [guess], rng)
+    terms = _terms(crew, problem, near=True)
+    data = gathered(terms)
+    fit = fit_terms(data, problem.center, problem.radius, [problem.guess], problem.rng())
     if fit.status is Status.OK:
-        fit = paper_fit(method, [data[i] for i in near], fit, center, rig.names)
-    none = no_fit(data, fit.status)
-    weights, residuals = list(none.weights), list(none.residuals)
-    for i, w, r in zip(near, fit.weights, fit.residuals, strict=True):
-        weights[i], residuals[i] = w, r
-    return fit.with_matches(weights, residuals)
+        fit = paper_fit(method, data, fit, problem.center, problem.rig.names)
+    near = dealt(fit, terms)
+
+    def of(c: int) -> Agreement:
+        mine = iter(near[c])
+        nothing = [(np.zeros(len(pair)), np.zeros(len(pair))) for pair in problem.pairs[c]]
+        base = problem.base.number
+        return [
+            next(mine) if pair.reference == base else no for pair, no in zip(problem.pairs[c], nothing, strict=True)
+        ]
+
+    return _solution(problem, fit, crew.each(of))
 
 
-def solve_landmarks(
-    rig: Rig,
-    pairs: Sequence[Pair],
-    current: Reference,
-    base: Reference,
-    radius: float,
-    guess: Hypothesis,
-    rng: np.random.Generator,
-) -> Fit:
+def solve_landmarks(crew: Crew, problem: Problem) -> Solution:
     """Alignment with the landmarks of all references; from other starts where the guess is contradicted."""
-    sights = _trusted([_sights(rig, pairs, current, base, camera) for camera in range(len(rig))], base.age)
-    data = [pair.term(rig, base) for pair in pairs]
-    if sum(len(s.points) for s in sights) < MIN_MATCHES:
-        return no_fit(data, Status.TOO_FEW_MATCHES)
-    aligned = align(sights, *guess)
+    return _aligned(crew, problem)[0]
+
+
+def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights]]:
+    """`solve_landmarks`; by camera, each its own, the sights that it used."""
+    frames, pairs, cameras = problem.frames, problem.pairs, problem.rig.cameras
+    seen = crew.each(lambda c: sights_of(cameras[c], pairs[c], frames[c], problem.base))
+    ages = crew.ask(lambda c: ages_of(*seen[c], pairs[c]))
+    all_ages = total_ages(ages)
+    # Where all that is old has vanished at once, something else is seen: what was usual in the last frame counts, too.
+    usual = max(usual_age(all_ages), problem.base.age)
+    # A landmark that stands still and was never seen to move gets next to no trust once others do: a background that is not
+    # known as such yet agrees with itself as well as the object does, and is often larger.
+    others_move = sum(a.moving for a in ages) >= max(MIN_MATCHES, 0.1 * len(all_ages))
+    of_still = STILL_TRUST if others_move else 1.0
+    sights = crew.each(lambda c: with_trust(*seen[c], usual, of_still))
+    if len(all_ages) < MIN_MATCHES:
+        return _nothing(crew, problem, Status.TOO_FEW_MATCHES), sights
+    pose, found = crew.align(sights, *problem.guess)
     # While all depths are guesses, a turn the other way with the depths reversed explains nearly as much (the mirrored
     # solution of few cameras and small turns); epipolar geometry is asked for its opinion.
-    young = max(pair.reference.landmarks[pair.camera].seen.max() for pair in pairs) <= YOUNG
-    if young or aligned.cost > POOR_COST:
-        other = fit_terms(data, base.world_from_object.translation, radius, [guess], rng)
+    if max(a.oldest for a in ages) <= YOUNG or pose.cost > POOR_COST:
+        data = gathered(_terms(crew, problem))
+        other = fit_terms(data, problem.center, problem.radius, [problem.guess], problem.rng())
         if other.status is Status.OK:
-            again = align(sights, other.rotation, other.shift, first_px=4.0)
-            aligned = min(aligned, again, key=lambda a: a.cost)
-    fit = _fit_of(aligned, pairs, len(rig))
-    if fit.status.has_pose and _by_chance(sights, aligned, current):
-        return no_fit(data, Status.NOT_CONSISTENT)
-    return fit
+            again, found_again = crew.align(sights, other.rotation, other.shift, first_px=OTHER_START_PX)
+            if again.cost < pose.cost:
+                pose, found = again, found_again
+    chances = crew.ask(lambda c: chance_of(sights[c], *found[c], pose.rotation, pose.shift, frames[c]))
+    status = Status.OK if pose.converged else Status.NOT_CONVERGED
+    if sum(chance.matches for chance in chances) < MIN_MATCHES or (status.has_pose and _by_chance(chances)):
+        return _nothing(crew, problem, Status.NOT_CONSISTENT), sights
+    agreement = crew.each(lambda c: cut(*found[c], pairs[c]))
+    return Solution(status, pose.rotation, pose.shift, pose.information, pose.iterations, agreement, pose.doubt), sights
 
 
-def solve_known_depth(
-    rig: Rig,
-    pairs: Sequence[Pair],
-    current: Reference,
-    base: Reference,
-    radius: float,
-    guess: Hypothesis,
-    rng: np.random.Generator,
-) -> Fit:
+def _by_chance(chances: Sequence[Chance]) -> bool:
+    """Whether random matches would agree with a pose about as often. The best of many poses finds more of them, hence the
+    factor; twice as many as there are unknowns (six, and those of each camera's surface) can be satisfied by choice."""
+    inliers, tried = sum(chance.inliers for chance in chances), sum(chance.tried for chance in chances)
+    unknowns, by_chance = 6 + sum(chance.unknowns for chance in chances), sum(chance.by_chance for chance in chances)
+    return inliers < CERTAIN_SHARE * tried and inliers < 2 * unknowns + 4.0 * by_chance
+
+
+def solve_known_depth(crew: Crew, problem: Problem) -> Solution:
     """Sylvester's equation for points known in 3D (2D-3D), of the landmarks that `solve_landmarks` finds to agree and whose
     depth is known by now; where these are too few or leave a mirrored answer, that of `solve_landmarks` stands.
 
     The equation is of orthographic views: each image point is scaled by its landmark's depth, as the motion so far has it,
     and the two are found in turns (POSIT: D. DeMenthon, L. Davis, 1995).
     """
-    fit = solve_landmarks(rig, pairs, current, base, radius, guess, rng)
-    if fit.status is not Status.OK:
-        return fit
-    cameras = [_sights(rig, pairs, current, base, c)[0] for c in range(len(rig))]
-    weights = [
-        np.concatenate([np.empty(0), *(w for pair, w in zip(pairs, fit.weights, strict=True) if pair.camera == c)])
-        for c in range(len(rig))
-    ]
-    known = [s.focal * _smear(s, fit.rotation, fit.shift) < KNOWN_PX for s in cameras]
-    weights = [np.where(k, w, 0.0) for k, w in zip(known, weights, strict=True)]
+    solution, sights = _aligned(crew, problem)
+    if solution.status is not Status.OK:
+        return solution
+
+    def known(c: int) -> Known:
+        weights = np.concatenate([np.empty(0), *(w for w, _ in solution.agreement[c])])
+        moves = sights[c].focal * smear(sights[c], solution.rotation, solution.shift)
+        return Known(sights[c], np.where(moves < KNOWN_PX, weights, 0.0))
+
+    records = crew.ask(known)
+    cameras, weights = [record.sights for record in records], [record.weights for record in records]
     if sum(int((w > 0).sum()) for w in weights) < KNOWN:
-        return fit
+        return solution
     rotations, centers = np.array([s.rotation for s in cameras]), np.array([s.center for s in cameras])
     points = [s.points for s in cameras]
-    R, shift = guess
+    R, shift = problem.guess
     rounds = 0
     for _ in range(POSIT_ROUNDS):
         images = [s.image * ((s.points @ R.T + shift - s.center) @ s.rotation[2])[:, None] for s in cameras]
         s = solve_2d3d(rotations, points, images, centers=centers, weights=weights)
         rounds += s.iterations
         if s.status is not Status.OK:
-            return fit
+            return solution
         change = np.abs(s.rotation - R).max()
         R, shift = s.rotation, s.translation
         if change < POSIT_SETTLED:
@@ -153,141 +254,7 @@ def solve_known_depth(
     about = np.eye(6)
     about[3:, :3] = -np.cross(np.eye(3), R @ s.center)
     information = about.T @ block_diag(s.information, s.displacement_information) @ about
-    return replace(
-        fit,
-        rotation=R,
-        shift=shift,
-        information=information,
-        information_without_depth=information,
-        iterations=fit.iterations + rounds,
-    )
-
-
-def _by_chance(sights: Sequence[Sights], aligned: Aligned, current: Reference) -> bool:
-    """Whether random matches would agree with the pose about as often.
-
-    A random match agrees when it falls into the ellipse around its landmark's image in which it counts as an inlier: that
-    happens with the ellipse's share of the region that the camera's features fill. The best of many poses finds more of
-    them, hence the factor; twice as many as there are unknowns (six, and three of each camera's surface) can be satisfied
-    by choice. What is not trusted is no evidence.
-    """
-    inliers, total, by_chance, unknowns = 0, 0, 0.0, 6
-    for c, (sight, weights, residuals) in enumerate(zip(sights, aligned.weights, aligned.residuals, strict=True)):
-        if not len(sight.image):
-            continue
-        good = (weights > 0) & (sight.trust > TRUSTED)
-        inliers += len(np.unique(sight.feature[good]))
-        total += len(np.unique(sight.feature))
-        unknowns += 3
-        sigma = np.sqrt(np.mean(residuals[good] ** 2)) / sight.focal if good.any() else 1.0 / sight.focal
-        along = _smear(sight, aligned.rotation, aligned.shift)
-        region = float(np.prod(np.ptp(current.features[c].normalized, axis=0)))
-        share = np.minimum(np.pi * CUTOFF**2 * sigma * np.hypot(sigma, along) / max(region, 1e-12), 1.0)
-        # A feature that is matched with several landmarks is tried once.
-        by_chance += float(np.bincount(sight.feature, share).sum() / max(np.bincount(sight.feature).max(), 1))
-    return inliers < 0.8 * total and inliers < 2 * unknowns + 4.0 * by_chance
-
-
-def _smear(sight: Sights, rotation: FloatArray, shift: FloatArray) -> FloatArray:
-    """(n,) by how much one standard deviation of a landmark's depth moves its image, normalised units."""
-    ends = [(sight.points + k * sight.depth_error) @ rotation.T + shift - sight.center for k in (0, 1)]
-    near, far = (p @ sight.rotation.T for p in ends)
-    return np.asarray(np.linalg.norm(near[:, :2] / near[:, 2:] - far[:, :2] / far[:, 2:], axis=1))
-
-
-def _trusted(sights: Sequence[tuple[Sights, BoolArray]], before: float) -> list[Sights]:
-    """Sights with their trust, given as in how many frames each was seen, and whether each moves or did.
-
-    What has moved along for long deserves more of it than what has just come into view (a hand, say). A landmark that
-    stands still and was never seen to move gets next to none once others do: a background that is not known as such yet
-    agrees with itself as well as the object does, and is often larger.
-
-    Args:
-        before: the age that was usual in the last frame. Where all that is old has vanished at once, something else is seen.
-    """
-    seen = np.concatenate([s.trust for s, _ in sights])
-    usual = max(usual_age(seen), before)
-    moving = sum(int(m.sum()) for _, m in sights)
-    background = STILL_TRUST if moving >= max(MIN_MATCHES, 0.1 * len(seen)) else 1.0
-    return [replace(s, trust=np.minimum(s.trust / usual, 1.0) ** 2 * np.where(m, 1.0, background)) for s, m in sights]
-
-
-def usual_age(seen: FloatArray) -> float:
-    """The number of frames that a landmark must have been seen in to be trusted fully, from those of all (n,)."""
-    return float(np.quantile(seen, 0.75)) if len(seen) else 1.0
-
-
-def _sights(rig: Rig, pairs: Sequence[Pair], current: Reference, base: Reference, c: int) -> tuple[Sights, BoolArray]:
-    """One camera's matches of landmarks, carried to where the object was in the base frame, and which of them move or did;
-    their trust is for now in how many frames they were seen."""
-    camera, mine = rig.cameras[c], [pair for pair in pairs if pair.camera == c]
-    known = Landmarks.concatenate([pair.reference.landmarks[c].subset(pair.indices[:, 0]) for pair in mine])
-    index = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in mine)])
-    turn, center = base.world_from_object.rotation, base.world_from_object.translation
-    points = turn.apply(known.mean).reshape(-1, 3)
-    error = turn.apply(known.depth_error).reshape(-1, 3)
-    away = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
-    # In how many frames each feature was seen, by the best known of its landmarks.
-    seen = np.zeros(int(index.max(initial=-1)) + 1)
-    np.maximum.at(seen, index, known.seen)
-    moving = np.concatenate([np.empty(0, bool), *(~still(pair) for pair in mine)]) | known.moved
-    sights = Sights(
-        points=points,
-        depth_error=error * away[:, None],
-        image=current.features[c].normalized[index],
-        feature=index,
-        trust=seen[index],
-        rotation=camera.rotation,
-        center=camera.center - center,
-        focal=camera.focal,
-    )
-    return sights, moving
-
-
-def _fit_of(aligned: Aligned, pairs: Sequence[Pair], n_cameras: int) -> Fit:
-    """The alignment as a fit: its per-camera arrays cut into the pairs that they were put together from."""
-    weights, residuals = [], []
-    done = [0] * n_cameras
-    for pair in pairs:
-        part = slice(done[pair.camera], done[pair.camera] + len(pair))
-        weights.append(aligned.weights[pair.camera][part])
-        residuals.append(aligned.residuals[pair.camera][part])
-        done[pair.camera] = part.stop
-    status = Status.OK if aligned.converged else Status.NOT_CONVERGED
-    if sum(int((w > 0).sum()) for w in weights) < MIN_MATCHES:
-        status = Status.NOT_CONSISTENT
-    return Fit(
-        status,
-        aligned.rotation,
-        aligned.shift,
-        tuple(weights),
-        tuple(residuals),
-        aligned.information,
-        aligned.information,
-        aligned.iterations,
-    )
-
-
-def best_landmarks(pairs: Sequence[Pair], camera: int) -> tuple[IntArray, Landmarks]:
-    """For each feature of the current frame that is matched at all, the best known of the landmarks it is matched with.
-
-    It has moved if any of them has, or does so now.
-
-    Returns:
-        index (k,) into the current frame's features; their landmarks (k).
-    """
-    mine = [pair for pair in pairs if pair.camera == camera and len(pair)]
-    if not mine:
-        return np.empty(0, np.int64), Landmarks.none()
-    known = Landmarks.concatenate([pair.reference.landmarks[camera].subset(pair.indices[:, 0]) for pair in mine])
-    index = np.concatenate([pair.indices[:, 1] for pair in mine])
-    order = np.lexsort([known.depth_sd, index])
-    _, first = np.unique(index[order], return_index=True)
-    pick = order[first]
-    moved = known.moved | np.concatenate([~still(pair) for pair in mine])
-    ever = np.zeros(int(index.max()) + 1, bool)
-    np.logical_or.at(ever, index, moved)
-    return index[pick], replace(known.subset(pick), moved=ever[index[pick]])
+    return replace(solution, rotation=R, shift=shift, information=information, iterations=solution.iterations + rounds)
 
 
 SOLVERS: dict[str, Solver] = {

@@ -15,9 +15,9 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
-from sylpose.tracking.frame import Reference
+from sylpose.tracking.frame import SolvedFrame
 
-__all__ = ["MAX_KEYFRAMES", "add_keyframe", "nearest_views", "references_of", "viewpoints"]
+__all__ = ["MAX_KEYFRAMES", "nearest_views", "references_of", "viewpoints", "with_keyframe"]
 
 
 # So many keyframes are kept: a few for every side of the object.
@@ -40,15 +40,15 @@ def _angles(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.arccos(np.clip(a @ b.T, -1.0, 1.0)))
 
 
-def _views(keyframes: Sequence[Reference], camera: int) -> FloatArray:
+def _views(keyframes: Sequence[SolvedFrame], camera: int) -> FloatArray:
     """(K, 3) one camera's viewpoints; NaN where it saw no feature."""
     empty = np.full(3, np.nan)
-    return np.array([k.viewpoints[camera] if len(k.features[camera]) else empty for k in keyframes]).reshape(-1, 3)
+    return np.array([k.viewpoints[camera] if k.sees[camera] else empty for k in keyframes]).reshape(-1, 3)
 
 
 def references_of(
-    keyframes: Sequence[Reference], camera: int, viewpoint: FloatArray, skip: Reference | None = None
-) -> list[Reference]:
+    keyframes: Sequence[SolvedFrame], camera: int, viewpoint: FloatArray, skip: SolvedFrame | None = None
+) -> list[SolvedFrame]:
     """The keyframes that a camera's image is to be matched with: of each ring around its viewpoint (3,), the oldest.
 
     Args:
@@ -60,42 +60,38 @@ def references_of(
     chosen = []
     for inner, outer in pairwise(RINGS):
         ring = np.flatnonzero((angle >= inner) & (angle < outer))
-        if len(ring) and keyframes[ring[0]] is not skip:
+        if len(ring) and not (skip is not None and keyframes[ring[0]].number == skip.number):
             chosen.append(keyframes[ring[0]])
     return chosen
 
 
-def nearest_views(keyframes: Sequence[Reference], camera: int, viewpoint: FloatArray, count: int) -> list[Reference]:
+def nearest_views(
+    keyframes: Sequence[SolvedFrame], camera: int, viewpoint: FloatArray, count: int
+) -> list[SolvedFrame]:
     """The `count` keyframes in which a camera looked from nearest to a viewpoint (3,), nearest first."""
     angle = np.nan_to_num(_angles(viewpoint[None], _views(keyframes, camera))[0], nan=np.inf)
     order = np.argsort(angle, kind="stable")[:count]
     return [keyframes[i] for i in order if np.isfinite(angle[i])]
 
 
-def add_keyframe(keyframes: list[Reference], current: Reference) -> bool:
-    """Adds a solved frame (in order of time) if it shows the object from a new side, and drops the one that is missed
-    least when they get too many.
-
-    Returns:
-        whether it was added.
-    """
+def with_keyframe(keyframes: tuple[SolvedFrame, ...], current: SolvedFrame) -> tuple[SolvedFrame, ...]:
+    """The keyframes and a solved frame (in order of time), if it shows the object from a new side; without the one that is
+    missed least when they get too many."""
     if keyframes and not _is_new(keyframes, current):
-        return False
-    keyframes.append(current)
-    if len(keyframes) > MAX_KEYFRAMES:
-        turns = np.array([k.world_from_object.rotation.as_matrix().ravel() for k in keyframes])
+        return keyframes
+    kept = [*keyframes, current]
+    if len(kept) > MAX_KEYFRAMES:
+        turns = np.array([k.world_from_object.rotation.as_matrix().ravel() for k in kept])
         # tr(A'B) = 1 + 2 cos: the larger, the more alike. Of the most alike two the newer goes; the first one stays.
         alike = np.tril(turns @ turns.T, -1) - 10.0 * np.triu(np.ones((len(turns), len(turns))))
-        del keyframes[int(np.unravel_index(np.argmax(alike), alike.shape)[0])]
-    return True
+        del kept[int(np.unravel_index(np.argmax(alike), alike.shape)[0])]
+    return tuple(kept)
 
 
-def _is_new(keyframes: Sequence[Reference], current: Reference) -> bool:
+def _is_new(keyframes: Sequence[SolvedFrame], current: SolvedFrame) -> bool:
     """Whether most cameras that see the object see it otherwise than in any keyframe."""
     new = []
-    for camera, features in enumerate(current.features):
-        if not len(features):
-            continue
+    for camera in np.flatnonzero(current.sees).tolist():
         views, here = _views(keyframes, camera), current.viewpoints[camera]
         scale = np.linalg.norm(views, axis=1) / np.linalg.norm(here)
         alike = (_angles(here[None], views)[0] < NEW_TURN) & (scale < NEW_SCALE) & (scale > 1.0 / NEW_SCALE)

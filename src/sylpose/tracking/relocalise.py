@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import match_features
 from sylpose.known_model.pose import estimate_pose
-from sylpose.numerics.arrays import FloatArray
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.tracking.frame import Reference
+from sylpose.tracking.frame import CameraFrame, SolvedFrame
 from sylpose.tracking.keyframes import nearest_views
+from sylpose.tracking.records import Recognised
 
-__all__ = ["relocalise"]
-
+__all__ = ["pose_of", "recognised", "to_try"]
 
 # Keyframes that each camera's image is compared with: those seen from nearest to where it looked from last, then others
 # from all sides, in turn.
@@ -30,49 +28,46 @@ MIN_INLIERS = 24
 MAX_ERROR_PX = 8.0
 
 
-def relocalise(
-    rig: Rig,
-    keyframes: Sequence[Reference],
-    current: Reference,
-    last: Reference,
-    radius: float,
-    missed: int,
-    pool: Executor,
-) -> RigidTransform | None:
-    """world_from_object by the keyframes' landmarks alone, wherever the object is; None if it is not found.
+def recognised(keyframes: Sequence[CameraFrame], current: CameraFrame, radius: float) -> Recognised:
+    """A camera's features that look like landmarks of its keyframes.
 
     Args:
-        keyframes: in order of time.
-        current: with the features of the whole images.
-        last: the last solved frame.
+        current: with the features of the whole image.
         radius: of the object.
-        missed: in how many frames it was not found; each time other keyframes are tried.
-        pool: one job per camera.
     """
+    points, pixels = [np.empty((0, 3))], [np.empty((0, 2))]
+    for keyframe in keyframes:
+        features, landmarks = keyframe.features, keyframe.landmarks
+        good = (landmarks.depth_sd < KNOWN_DEPTH * radius) & ~keyframe.background
+        index = match_features(features.subset(good), current.features)
+        points.append(landmarks.mean[good][index[:, 0]])
+        pixels.append(current.features.pixels[index[:, 1]])
+    # A feature that several keyframes recognise counts once per landmark place.
+    _, first = np.unique(np.round(np.concatenate(pixels), 1), axis=0, return_index=True)
+    return Recognised(np.concatenate(points)[first], np.concatenate(pixels)[first])
 
-    def run(c: int) -> tuple[FloatArray, FloatArray]:
-        points, pixels = [np.empty((0, 3))], [np.empty((0, 2))]
-        for reference in _to_try(keyframes, c, last, missed):
-            features, landmarks = reference.features[c], reference.landmarks[c]
-            good = (landmarks.depth_sd < KNOWN_DEPTH * radius) & ~reference.background[c]
-            index = match_features(features.subset(good), current.features[c])
-            points.append(landmarks.mean[good][index[:, 0]])
-            pixels.append(current.features[c].pixels[index[:, 1]])
-        # A feature that several keyframes recognise counts once per landmark place.
-        _, first = np.unique(np.round(np.concatenate(pixels), 1), axis=0, return_index=True)
-        return np.concatenate(points)[first], np.concatenate(pixels)[first]
 
-    matches = list(pool.map(run, range(len(rig))))
-    pose = estimate_pose(rig, [m[0] for m in matches], [m[1] for m in matches], max_error_px=MAX_ERROR_PX)
+def pose_of(rig: Rig, records: Sequence[Recognised]) -> RigidTransform | None:
+    """world_from_object by what all cameras recognised; None if that is too little to be believed."""
+    points, pixels = [record.points for record in records], [record.pixels for record in records]
+    pose = estimate_pose(rig, points, pixels, max_error_px=MAX_ERROR_PX)
     usable = (Status.OK, Status.NOT_CONVERGED) if len(rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
     if pose.status not in usable or pose.motion is None or pose.n_inliers.sum() < MIN_INLIERS:
         return None
     return pose.motion
 
 
-def _to_try(keyframes: Sequence[Reference], camera: int, last: Reference, turn: int) -> list[Reference]:
+def to_try(keyframes: Sequence[SolvedFrame], camera: int, last: SolvedFrame, turn: int) -> list[SolvedFrame]:
+    """The keyframes that a camera's image is compared with.
+
+    Args:
+        keyframes: in order of time.
+        last: the last solved frame.
+        turn: in how many frames the object was not found; each time others are tried.
+    """
     nearest = nearest_views(keyframes, camera, last.viewpoints[camera], NEAREST)
-    others = [k for k in keyframes if len(k.features[camera]) and not any(k is n for n in nearest)]
+    tried = {k.number for k in nearest}
+    others = [k for k in keyframes if k.sees[camera] and k.number not in tried]
     # Every frame tries others, so that all have been tried after a few.
     stride = max(len(others) // OTHERS, 1)
     return nearest + others[turn % stride :: stride]

@@ -11,12 +11,9 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.results import FramePose, Status
-from sylpose.tracking.frame import Pair, Reference
-from sylpose.two_frames.fit import Fit
+from sylpose.tracking.frame import CameraFrame, Pair
 
-__all__ = ["Sightings", "TrackedFrame", "solved_frame", "unsolved_frame"]
-
-Regions = Sequence[FloatArray | None]
+__all__ = ["Sightings", "TrackedFrame", "shown", "sightings", "unsolved_frame"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +21,7 @@ class Sightings:
     """What one camera saw of the object in one frame: what a joint refinement of all poses needs.
 
     Attributes:
-        landmark: (n,) numbers; the same feature of the object seen in several frames has the same one.
+        landmark: (n,) numbers; the same feature of the object seen in several frames by this camera has the same one.
         normalized: (n, 2) where each was seen, undistorted.
         place: (n, 3) where it is on the object, as far as is known by then, object's frame.
     """
@@ -60,61 +57,36 @@ class TrackedFrame:
     note: str = ""
 
 
-def solved_frame(
-    current: Reference,
-    frames: FrameSet,
-    status: Status,
-    regions: Regions,
-    radius: float,
-    pairs: Sequence[Pair] = (),
-    fit: Fit | None = None,
-    base: Reference | None = None,
-    before: Sequence[FloatArray] | None = None,
-) -> TrackedFrame:
-    """Of a frame with a pose.
+def shown(
+    inliers: Sequence[Pair], current: CameraFrame, base: int, before: FloatArray | None
+) -> tuple[FloatArray, FloatArray] | None:
+    """One camera's inliers against the last solved frame, as `TrackedFrame.matches`.
 
     Args:
-        pairs: its matches, weighted by the fit.
-        base: the last solved frame.
-        before: per camera (m, 2) where the first m features were in the last solved frame, if they were followed.
+        base: the last solved frame's number.
+        before: (m, 2) where the first m features were in it, if they were followed.
     """
-    n = len(current.features)
-    used: list[set[int]] = [set() for _ in range(n)]
-    squares: list[FloatArray] = [np.empty(0)] * n
-    shown: list[tuple[FloatArray, FloatArray] | None] = [None] * n
-    for pair, w, r in zip(pairs, fit.weights if fit else (), fit.residuals if fit else (), strict=True):
-        used[pair.camera].update(pair.indices[w > 0, 1].tolist())
-        squares[pair.camera] = np.append(squares[pair.camera], r[w > 0] ** 2)
-        if pair.reference is base:
-            shown[pair.camera] = (pair.pixels_i[w > 0], pair.pixels_j[w > 0])
     if before is not None:
-        for c, (then, u) in enumerate(zip(before, used, strict=True)):
-            index = np.array(sorted(i for i in u if i < len(then)), np.int64)
-            index = index[np.isfinite(then[index]).all(axis=1)]
-            shown[c] = (then[index], current.features[c].pixels[index])
-    if n == 1 and status is not Status.FIRST:
-        status = Status.SCALE_NOT_OBSERVABLE
-    pose = FramePose(
-        frames.index,
-        frames.time,
-        status,
-        current.world_from_object,
-        current.covariance,
-        np.array([len(u) for u in used], np.int64),
-        np.array([np.sqrt(s.mean()) if len(s) else np.nan for s in squares]),
-    )
-    # What was used, and what was seen for the first time.
-    sightings = []
-    for features, landmarks, u in zip(current.features, current.landmarks, used, strict=True):
-        index = np.union1d(np.array([*u], np.int64), np.flatnonzero(landmarks.seen == 1))
-        sightings.append(Sightings(landmarks.id[index], features.normalized[index], landmarks.mean[index]))
-    return TrackedFrame(pose, frames, tuple(shown), tuple(regions), radius, tuple(sightings), current.late)
+        index = np.unique(np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in inliers)]))
+        index = index[index < len(before)]
+        index = index[np.isfinite(before[index]).all(axis=1)]
+        return before[index], current.features.pixels[index]
+    with_base = [pair for pair in inliers if pair.reference == base]
+    return (with_base[0].pixels_i, with_base[0].pixels_j) if with_base else None
+
+
+def sightings(inliers: Sequence[Pair], current: CameraFrame) -> Sightings:
+    """One camera's features that were used, and those that were seen for the first time."""
+    used = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in inliers)])
+    landmarks = current.landmarks
+    index = np.union1d(used, np.flatnonzero(landmarks.seen == 1))
+    return Sightings(landmarks.id[index], current.features.normalized[index], landmarks.mean[index])
 
 
 def unsolved_frame(
     frames: FrameSet,
     status: Status,
-    regions: Regions | None = None,
+    regions: Sequence[FloatArray | None] | None = None,
     radius: float = np.nan,
     world_from_object: RigidTransform | None = None,
     covariance: FloatArray | None = None,

@@ -9,7 +9,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
-from sylpose.two_frames.fit import Fit
 
 __all__ = ["Velocity"]
 
@@ -25,7 +24,7 @@ MEMORY = 5
 SHORT = 0.2
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Velocity:
     """The last motion, and how much the motion changes from frame to frame.
 
@@ -45,25 +44,23 @@ class Velocity:
         """What it gives for some seconds."""
         return RigidTransform.from_exp_coords(self.twist * elapsed)
 
-    def learn(self, motion: RigidTransform, center: FloatArray, elapsed: float) -> None:
-        """Takes in the motion (of which the centre (3,) is at its start) of the next frame."""
+    def learnt(self, motion: RigidTransform, center: FloatArray, elapsed: float) -> Velocity:
+        """With the motion (of which the centre (3,) is at its start) of the next frame taken in."""
         # Of two frames at nearly the same time, the difference of the poses is mostly their errors.
         if self.frames and elapsed < SHORT * self.interval:
-            return
+            return self
         elapsed = max(elapsed, 1e-9)
-        self.interval = elapsed if not self.frames else self.interval + (elapsed - self.interval) / MEMORY
+        interval, unsteady = elapsed, self.unsteady
         # The first motion is a change by itself.
         if self.frames:
+            interval = self.interval + (elapsed - self.interval) / MEMORY
             change = self._surprise(motion.rotation, motion.apply(center) - center, center, elapsed) / elapsed
-            self.unsteady = self.unsteady + (change**2 - self.unsteady) / min(self.frames, MEMORY)
-        self.twist = motion.as_exp_coords() / elapsed
-        self.frames += 1
+            unsteady = unsteady + (change**2 - unsteady) / min(self.frames, MEMORY)
+        return Velocity(motion.as_exp_coords() / elapsed, unsteady, self.frames + 1, interval)
 
-    def forget(self, *, stands: bool) -> None:
+    def forgotten(self, *, stands: bool) -> Velocity:
         """After frames that were not solved: the usual change stays, the velocity too unless it `stands`."""
-        self.frames = 0
-        if stands:
-            self.twist = np.zeros(6)
+        return replace(self, frames=0, twist=np.zeros(6) if stands else self.twist)
 
     def spread(self, elapsed: float, missed: int) -> FloatArray:
         """(6, 6) covariance of (w, d) of its motion after some seconds, in which so many frames were missed; infinite while
@@ -72,24 +69,33 @@ class Velocity:
             return np.full((6, 6), np.inf)
         return np.asarray(np.diag(self.unsteady) * missed * elapsed**2)
 
-    def added_to(self, fit: Fit, center: FloatArray, elapsed: float) -> Fit:
-        """A fit of the motion since the last frame, with what constant velocity says as one more measurement.
+    def added_to(
+        self, rotation: FloatArray, shift: FloatArray, information: FloatArray, center: FloatArray, elapsed: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """A motion since the last frame, with what constant velocity says as one more measurement.
 
         It is a weak one, and matters where the matches say little: when all but a corner of the object is hidden. Where they
         contradict it, the object has started, stopped or turned round.
+
+        Args:
+            rotation: (3, 3) R; shift: (3,) d; information: (6, 6) of (w, d).
+            center: (3,) of the object in the last frame, `elapsed` seconds ago.
+
+        Returns:
+            the three, corrected.
         """
         if self.frames < STEADY_FRAMES:
-            return fit
-        error = self._surprise(Rotation.from_matrix(fit.rotation), fit.shift, center, elapsed)
+            return rotation, shift, information
+        error = self._surprise(Rotation.from_matrix(rotation), shift, center, elapsed)
         sd = np.maximum(SPREAD * elapsed * np.sqrt(_by_parts(self.unsteady)), 1e-12)
-        prediction, information = np.diag(sd**-2), fit.information + np.diag(sd**-2)
+        prediction, both = np.diag(sd**-2), information + np.diag(sd**-2)
         # error' (covariance of the fit + diag(sd²))^-1 error, without inverting what the matches may not have seen.
         weighted = prediction @ error
-        if weighted @ error - weighted @ np.linalg.solve(information, weighted) > SURPRISING:
-            return fit
-        step = -np.linalg.solve(information, prediction @ error)
-        rotation = (Rotation.from_rotvec(step[:3]) * Rotation.from_matrix(fit.rotation)).as_matrix()
-        return replace(fit, rotation=rotation, shift=fit.shift + step[3:], information=information)
+        if weighted @ error - weighted @ np.linalg.solve(both, weighted) > SURPRISING:
+            return rotation, shift, information
+        step = -np.linalg.solve(both, prediction @ error)
+        corrected = (Rotation.from_rotvec(step[:3]) * Rotation.from_matrix(rotation)).as_matrix()
+        return np.asarray(corrected), shift + step[3:], both
 
     def rig_seen_at_once(
         self, rig: Rig, late: FloatArray, center: FloatArray, motion: RigidTransform, elapsed: float

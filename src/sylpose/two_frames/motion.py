@@ -132,10 +132,10 @@ def estimate_motions(
         return list(pool.map(one, pairs))
 
 
-def motion_about(center: FloatArray, fit: Fit) -> RigidTransform:
-    """X -> R (X - g) + g + d as a transform."""
-    rotation = Rotation.from_matrix(fit.rotation, assume_valid=True)
-    return RigidTransform.from_components(center + fit.shift - fit.rotation @ center, rotation)
+def motion_about(center: FloatArray, rotation: FloatArray, shift: FloatArray) -> RigidTransform:
+    """X -> R (X - g) + g + d as a transform; g (3,), R (3, 3), d (3,)."""
+    turn = Rotation.from_matrix(rotation, assume_valid=True)
+    return RigidTransform.from_components(center + shift - rotation @ center, turn)
 
 
 def _motion(
@@ -162,7 +162,7 @@ def _motion(
             information = forget(information, row)
     return Motion(
         status=fit.status,
-        motion=motion_about(center, fit) if fit.status.has_pose or len(open_) else None,
+        motion=motion_about(center, fit.rotation, fit.shift) if fit.status.has_pose or len(open_) else None,
         center=center,
         information=information,
         covariance=covariance_of(information),

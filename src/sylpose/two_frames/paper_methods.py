@@ -10,19 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.bad_cameras import diagnose
-from sylpose.paper.centralized import UNSEEN_TURN, solve_centralized
+from sylpose.paper.centralized import solve_centralized
 from sylpose.paper.depth_plane import solve_depth_plane
 from sylpose.paper.displacement import translation_from_means, translation_from_moments
-from sylpose.paper.distributed.simulated import Agreement, solve_exchange, solve_gossip, solve_refine
+from sylpose.paper.distributed.simulated import solve_exchange, solve_gossip, solve_refine
 from sylpose.paper.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
-from sylpose.results import Status
+from sylpose.results import RotationEstimate, Status
 from sylpose.two_frames.fit import Fit
 from sylpose.two_frames.terms import TermData
 
@@ -34,69 +33,42 @@ Moments = Sequence[PairMoments]
 SPREAD = 3
 
 
-class Turn(NamedTuple):
-    """What an estimator says.
-
-    Attributes:
-        rotation: (3, 3) R.
-        information: (3, 3) of w, R = exp(w) R̂.
-        iterations: or rounds.
-        unbiased: the displacement may follow from epipolar geometry; a bias of the rotation would turn into a shift.
-    """
-
-    status: Status
-    rotation: FloatArray
-    information: FloatArray
-    iterations: int
-    unbiased: bool = False
+# (rotations (C, 3, 3), C moments, the robust fit's R) -> the estimate.
+Estimator = Callable[[FloatArray, Moments, FloatArray], RotationEstimate]
 
 
-def _sylvester(Q: FloatArray, moments: Moments, guess: FloatArray) -> Turn:
-    if len(Q) == 1:
-        return ESTIMATORS["one-camera"](Q, moments, guess)
-    s = solve_centralized(Q, moments)
-    return Turn(s.status, s.rotation, s.information, s.iterations)
+def _several(solve: Callable[[FloatArray, Moments], RotationEstimate]) -> Estimator:
+    """Of several cameras; of one alone, `solve_one_camera`'s."""
+
+    def estimate(Q: FloatArray, moments: Moments, guess: FloatArray) -> RotationEstimate:
+        return solve(Q, moments) if len(Q) > 1 else ESTIMATORS["one-camera"](Q, moments, guess)
+
+    return estimate
 
 
-def _depth_plane(Q: FloatArray, moments: Moments, _: FloatArray) -> Turn:
-    s = solve_depth_plane(Q, moments)
-    return Turn(s.status, s.rotation, s.information, s.iterations, unbiased=True)
-
-
-def _distributed(solve: Callable[[FloatArray, Moments], Agreement]) -> Estimator:
-    def agree(Q: FloatArray, moments: Moments, guess: FloatArray) -> Turn:
-        if len(Q) == 1:
-            return ESTIMATORS["one-camera"](Q, moments, guess)
-        s = solve(Q, moments)
-        return Turn(s.status, s.rotation, s.information, s.rounds)
-
-    return agree
-
-
-def _one_camera(solve: Callable[[FloatArray, PairMoments], OneCameraSolution]) -> Estimator:
+def _one(solve: Callable[[FloatArray, PairMoments], OneCameraSolution]) -> Estimator:
     """Of the camera with the most matches; of its two mirrored answers the one nearer to the robust fit's, which it cannot
     tell itself."""
 
-    def one(Q: FloatArray, moments: Moments, guess: FloatArray) -> Turn:
+    def estimate(Q: FloatArray, moments: Moments, guess: FloatArray) -> RotationEstimate:
         c = int(np.argmax([m.count for m in moments]))
-        s = solve(Q[c], moments[c])
-        k = int(np.argmin(np.linalg.norm(s.rotations - guess, axis=(1, 2))))
-        return Turn(s.status, s.rotations[k], s.information[k], s.iterations)
+        return solve(Q[c], moments[c]).nearest(guess)
 
-    return one
+    return estimate
 
 
-# (rotations (C, 3, 3), C moments, the robust fit's R) -> the estimate. The keys are names of methods (`methods`).
-Estimator = Callable[[FloatArray, Moments, FloatArray], Turn]
+# The keys are names of methods (`methods`).
 ESTIMATORS: dict[str, Estimator] = {
-    "sylvester": _sylvester,
-    "depth-plane": _depth_plane,
-    "exchange": _distributed(solve_exchange),
-    "refine": _distributed(solve_refine),
-    "gossip": _distributed(solve_gossip),
-    "one-camera": _one_camera(solve_one_camera),
-    "unconstrained": _one_camera(solve_unconstrained),
+    "sylvester": _several(solve_centralized),
+    "depth-plane": lambda Q, moments, _: solve_depth_plane(Q, moments),
+    "exchange": _several(solve_exchange),
+    "refine": _several(solve_refine),
+    "gossip": _several(solve_gossip),
+    "one-camera": _one(solve_one_camera),
+    "unconstrained": _one(solve_unconstrained),
 }
+# Those whose displacement may follow from epipolar geometry: a bias of the others' rotation would turn into a shift.
+UNBIASED = {"depth-plane"}
 
 
 def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatArray, names: Sequence[str]) -> Fit:
@@ -127,7 +99,7 @@ def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatA
         centers = np.array([data[i].center for i in seen])
         shift, of_shift = translation_from_means(Q, centers, moments, turn.rotation, center)
         known, believed = np.zeros((6, 6)), np.zeros((6, 6))
-        if turn.unbiased:
+        if method in UNBIASED:
             believed[3:, 3:] = of_shift
             shift, known = translation_from_moments(Q, centers, moments, turn.rotation, center, shift, of_shift)
         else:
@@ -149,12 +121,10 @@ def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatA
     )
 
 
-def _seen(turn: Turn) -> FloatArray:
+def _seen(turn: RotationEstimate) -> FloatArray:
     """(3, 3) the information of the turn, without the directions that the estimator says it has not seen."""
     values, vectors = np.linalg.eigh(turn.information)
     # Off an optimum (the unconstrained estimate) a Hessian may be negative.
     values = np.maximum(values, 0.0)
-    if turn.status is Status.TURN_NOT_OBSERVABLE:
-        values[0] = 0.0
-        values[values < 1 / UNSEEN_TURN**2] = 0.0
-    return np.asarray((vectors * values) @ vectors.T)
+    seen = np.eye(3) - turn.unseen.T @ turn.unseen
+    return np.asarray(seen @ (vectors * values) @ vectors.T @ seen)

@@ -10,6 +10,7 @@ from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel, rotvec_of
 from sylpose.numerics.matrices import covariance_of
 from sylpose.numerics.robust import chi_squared_bound
+from sylpose.numerics.unseen import UNSEEN_SHARE, about_a_turn, unseen_directions
 from sylpose.results import Status
 from sylpose.two_frames.fit import Fit
 from sylpose.two_frames.match_cost import Tolerance, matched
@@ -19,8 +20,6 @@ from sylpose.two_frames.terms import Stack
 __all__ = ["is_consistent", "judged", "observed", "rod_axis", "stands_still", "unseen"]
 
 
-# A direction is "not observable" when its standard deviation exceeds this share of the motion itself.
-UNOBSERVABLE_SHARE = 0.5
 # What no motion at all must cost more, of six unknowns, and a turn, of three: below it, there may be none (chi-squared, once
 # in a thousand times).
 CERTAIN_MOTION, CERTAIN_TURN = chi_squared_bound(6), chi_squared_bound(3)
@@ -44,7 +43,7 @@ def judged(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
     directions = unseen(fit, radius)
     if len(directions) == 0:
         return fit, directions
-    turn = np.linalg.norm(radius * directions[:, :3], 2) ** 2 > 0.5
+    turn = about_a_turn(directions * ([radius] * 3 + [1.0] * 3))
     return replace(fit, status=Status.TURN_NOT_OBSERVABLE if turn else Status.SCALE_NOT_OBSERVABLE), directions
 
 
@@ -53,15 +52,14 @@ def unseen(fit: Fit, radius: float) -> FloatArray:
 
     A turn moves the object's surface by radius times angle, a displacement by its length: in that measure, rows are
     orthonormal, and a direction is open when its standard deviation exceeds half of the motion itself
-    (`UNOBSERVABLE_SHARE`): even the sign of what it adds is then in doubt. A displacement without a turn has no observable
+    (`UNSEEN_SHARE`): even the sign of what it adds is then in doubt. A displacement without a turn has no observable
     length; a turn that is mere noise must not pretend to one.
     """
     scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
-    values, vectors = np.linalg.eigh(fit.information_without_depth * np.outer(scale, scale))
     turn, length = np.empty(3), float(np.linalg.norm(fit.shift))
     rotvec_of(fit.rotation, turn)
     size = np.hypot(radius * np.linalg.norm(turn), length)
-    weak = vectors[:, values * (UNOBSERVABLE_SHARE * size) ** 2 < 1.0].T
+    weak = unseen_directions(fit.information_without_depth, UNSEEN_SHARE * size * scale)
     if len(weak) == 0 and length > radius * np.linalg.norm(turn):
         of_turn = np.linalg.inv(covariance_of(fit.information)[:3, :3])
         if turn @ of_turn @ turn < CERTAIN_TURN:

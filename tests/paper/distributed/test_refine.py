@@ -12,13 +12,15 @@ from hypothesis import strategies as st
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.centralized import solve_centralized
-from sylpose.paper.distributed.evidence import evidence_of
+from sylpose.paper.distributed.evidence import evidence_of, packed, unpacked
 from sylpose.paper.distributed.exchange import exchange_start, exchange_step
 from sylpose.paper.distributed.gossip import gossip_start, gossip_step
 from sylpose.paper.distributed.messages import Message, decode, encode, newest, read
 from sylpose.paper.distributed.refine import PATIENCE, PENALTY, RELAXATION, RefineState, refine_start, refine_step
 from sylpose.paper.equation import solve_generalized_sylvester
+from sylpose.paper.one_camera import solve_one_camera
 from sylpose.paper.orthographic import quadratic_of, views_of
+from sylpose.paper.so3 import Quadratic
 from tests.paper.test_centralized import moments_of, noisy_problem, quick, seeds
 from tests.scenes import angle
 
@@ -91,10 +93,11 @@ def test_evidence_adds_up_to_the_centralised_cost(seed: int, n: int, aim: bool) 
     cameras, moments = problem(seed, max(n, 3))
     q = quadratic_of(views_of(cameras[:n], moments[:n], aim=aim))
     parts = [evidence_of(c, m, aim=aim) for c, m in zip(cameras[:n], moments[:n], strict=True)]
-    np.testing.assert_allclose(sum(e.H for e in parts), q.H * q.scale, atol=1e-12 * q.scale)
-    np.testing.assert_allclose(sum(e.h for e in parts), q.h * q.scale, atol=1e-12 * q.scale)
-    assert sum(e.constant for e in parts) == pytest.approx(q.constant * q.scale)
-    assert sum(e.weight for e in parts) == pytest.approx(q.weight)
+    total = sum(parts, start=Quadratic.zero())
+    for name in ("H", "h", "constant", "weight"):
+        np.testing.assert_allclose(getattr(total, name), getattr(q, name), rtol=1e-12, atol=1e-12 * float(q.scale))
+    for name in ("H", "h", "constant", "weight"):
+        np.testing.assert_array_equal(getattr(unpacked(packed(q)), name), getattr(q, name))
 
 
 def test_a_camera_without_spread_has_no_evidence() -> None:
@@ -141,8 +144,21 @@ def test_it_starts_at_the_mean_of_a_cameras_two_mirrored_solutions(seed: int) ->
     mirror = cameras[0].T @ np.diag([1.0, 1, -1]) @ cameras[0]
     both = [alone.rotation, mirror @ alone.rotation @ mirror]
     q = quadratic_of(views_of(cameras[:1], moments[:1], aim=False))
-    assert q.cost(both[1]) == pytest.approx(q.cost(both[0]), rel=1e-9, abs=1e-12)
-    np.testing.assert_allclose(state.sent.values.reshape(3, 3) / state.penalty, np.mean(both, axis=0), atol=1e-6)
+    assert q.cost(both[1]) == pytest.approx(q.cost(both[0]), rel=1e-9, abs=1e-12 * float(q.scale))
+    start = state.sent.values.reshape(3, 3) / state.penalty
+    np.testing.assert_allclose(start, np.mean(both, axis=0), atol=1e-6)
+    own = solve_one_camera(cameras[0], moments[0], aim=False).rotations
+    np.testing.assert_allclose(start, own.mean(axis=0), atol=1e-14)
+
+
+def test_a_camera_without_a_solution_of_its_own_adds_nothing() -> None:
+    """Its matches are all at one point, spread by a little more and a little less than rounding."""
+    cameras, _ = problem(3, 3)
+    for spread in (0.0, 1e-8, 2e-7):
+        x = 1.0 + spread * np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
+        state, _ = refine_start(0, range(3), cameras[0], PairMoments.from_matches(x, x), aim=False)
+        assert (state.penalty > 0) == bool(state.sent.values.any()) == bool(state.evidence.weight)
+        assert np.isfinite(state.sent.values).all()
 
 
 def test_a_step_is_a_pure_function() -> None:

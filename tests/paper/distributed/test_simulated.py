@@ -1,4 +1,4 @@
-"""The distributed estimators over a simulated network: the centralised answer at every camera, and what faults do to it."""
+"""The distributed estimators over a simulated network: the centralised answer at every camera, and what disturbs it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from sylpose.paper.distributed.messages import Inbox, Packet
 from sylpose.paper.distributed.refine import RefineState, refine_start, refine_step
 from sylpose.paper.distributed.simulated import (
     Agreement,
-    Faults,
+    Disturbances,
     Nonsense,
     run,
     solve_exchange,
@@ -76,7 +76,7 @@ def check(found: Agreement, reference: CentralizedSolution, cameras: Sequence[in
     assert found.spread < 1e-8
 
 
-# --- Without faults ---------------------------------------------------------------------------------------------------
+# --- Undisturbed ---------------------------------------------------------------------------------------------------
 
 
 @given(seeds, st.integers(3, 6))
@@ -241,7 +241,7 @@ def test_refine_has_the_centralised_answer_on_a_recording() -> None:
 @pytest.mark.parametrize("loss", [0.1, 0.3])
 def test_loss_costs_rounds_and_nothing_else_even_where_plain_admm_crawls(rig: Rig, loss: float) -> None:
     problem = seen(rig)
-    found, without = solve_refine(*problem, faults=Faults(loss=loss)), solve_refine(*problem)
+    found, without = solve_refine(*problem, disturbances=Disturbances(loss=loss)), solve_refine(*problem)
     assert found.converged.all()
     np.testing.assert_array_equal(found.rotations, without.rotations)
 
@@ -266,20 +266,22 @@ GRAPHS = {
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_gossip_reaches_all_on_any_graph(graph: list[tuple[int, int]], loss: float) -> None:
     problem = seen(dome(9))
-    found = solve_gossip(*problem, graph=graph, faults=Faults(loss=loss))
+    found = solve_gossip(*problem, graph=graph, disturbances=Disturbances(loss=loss))
     check(found, of(problem, range(9)), range(9))
     assert found.rounds < 300
 
 
-# --- With faults ------------------------------------------------------------------------------------------------------
+# --- Disturbed ------------------------------------------------------------------------------------------------------
 
 
 @schemes
-@pytest.mark.parametrize("faults", [Faults(loss=0.3, seed=1), Faults(delay=3, seed=2), Faults(0.15, 2, seed=3)])
-def test_loss_and_delay_cost_rounds_and_nothing_else(solve: Solve, faults: Faults) -> None:
+@pytest.mark.parametrize(
+    "disturbances", [Disturbances(loss=0.3, seed=1), Disturbances(delay=3, seed=2), Disturbances(0.15, 2, seed=3)]
+)
+def test_loss_and_delay_cost_rounds_and_nothing_else(solve: Solve, disturbances: Disturbances) -> None:
     problem = seen(around(5))
     without = solve(*problem)
-    found = solve(*problem, faults=faults)
+    found = solve(*problem, disturbances=disturbances)
     check(found, of(problem, range(5)), range(5))
     assert found.rounds >= without.rounds
     assert not found.refused
@@ -287,7 +289,7 @@ def test_loss_and_delay_cost_rounds_and_nothing_else(solve: Solve, faults: Fault
 
 def test_what_an_exchange_of_one_round_missed_is_told() -> None:
     problem = seen(dome(5))
-    found = solve_exchange(*problem, faults=Faults(loss=0.5, seed=1))
+    found = solve_exchange(*problem, disturbances=Disturbances(loss=0.5, seed=1))
     assert found.status is Status.NOT_CONVERGED
     assert found.spread > 1e-4
 
@@ -296,9 +298,9 @@ def test_what_an_exchange_of_one_round_missed_is_told() -> None:
 def test_a_camera_that_dies_before_it_says_anything_is_left_out(solve: Solve) -> None:
     problem, rest = seen(around(5)), [0, 1, 2, 4]
     found = (
-        solve(*problem, graph=GRAPHS["complete"][:10], faults=Faults(dies={3: 0}))
+        solve(*problem, graph=GRAPHS["complete"][:10], disturbances=Disturbances(dies={3: 0}))
         if solve is solve_gossip
-        else solve(*problem, faults=Faults(dies={3: 0}))
+        else solve(*problem, disturbances=Disturbances(dies={3: 0}))
     )
     check(found, of(problem, rest), rest)
     assert found.used == tuple(rest)
@@ -309,18 +311,18 @@ def test_a_camera_that_dies_before_it_says_anything_is_left_out(solve: Solve) ->
 def test_a_camera_that_dies_in_the_middle_of_refining_or_gossip_is_left_out() -> None:
     problem, rest = seen(around(5)), [0, 1, 2, 4]
     for died in (1, 3, 10):
-        check(solve_refine(*problem, faults=Faults(dies={3: died})), of(problem, rest), rest)
-        found = solve_gossip(*problem, graph=GRAPHS["complete"][:10], faults=Faults(dies={3: died}))
+        check(solve_refine(*problem, disturbances=Disturbances(dies={3: died})), of(problem, rest), rest)
+        found = solve_gossip(*problem, graph=GRAPHS["complete"][:10], disturbances=Disturbances(dies={3: died}))
         check(found, of(problem, rest), rest)
 
 
 def test_a_camera_that_dies_after_its_exchange_is_still_in_it() -> None:
     problem, rest = seen(around(5)), [0, 1, 2, 4]
-    check(solve_exchange(*problem, faults=Faults(dies={3: 1})), of(problem, range(5)), rest)
+    check(solve_exchange(*problem, disturbances=Disturbances(dies={3: 1})), of(problem, range(5)), rest)
 
 
 def test_a_network_that_falls_in_two_does_not_call_itself_agreed() -> None:
-    found = solve_gossip(*seen(around(5)), graph=GRAPHS["line"][:4], faults=Faults(dies={2: 4}))
+    found = solve_gossip(*seen(around(5)), graph=GRAPHS["line"][:4], disturbances=Disturbances(dies={2: 4}))
     assert found.status is Status.NOT_CONVERGED
     assert found.spread > 1e-4
 
@@ -329,13 +331,13 @@ def test_a_network_that_falls_in_two_does_not_call_itself_agreed() -> None:
 @pytest.mark.parametrize("loss", [0.0, 0.1])
 def test_a_camera_that_joins_late_is_in_the_answer(solve: Solve, loss: float) -> None:
     problem = seen(around(5))
-    check(solve(*problem, faults=Faults(loss=loss, joins={1: 6}, seed=4)), of(problem, range(5)), range(5))
+    check(solve(*problem, disturbances=Disturbances(loss=loss, joins={1: 6}, seed=4)), of(problem, range(5)), range(5))
 
 
 def test_a_late_camera_that_is_seldom_heard_is_not_taken_for_one_that_never_settles() -> None:
     cameras, matches, _ = noisy_problem(28, 5)
     moments = moments_of(matches)
-    found = solve_refine(cameras, moments, aim=False, faults=Faults(loss=0.35, joins={0: 13}, seed=28))
+    found = solve_refine(cameras, moments, aim=False, disturbances=Disturbances(loss=0.35, joins={0: 13}, seed=28))
     check(found, solve_centralized(cameras, moments, aim=False), range(5))
     assert not found.refused
 
@@ -345,7 +347,7 @@ def test_a_late_camera_that_is_seldom_heard_is_not_taken_for_one_that_never_sett
 def test_nonsense_is_left_out_and_its_sender_named(solve: Solve, kind: Nonsense) -> None:
     problem, rest = seen(around(6)), [0, 1, 2, 3, 5]
     graph = {"graph": [(a, b) for a in range(6) for b in range(a)]} if solve is solve_gossip else {}
-    found = solve(*problem, faults=Faults(nonsense={4: kind}), **graph)
+    found = solve(*problem, disturbances=Disturbances(nonsense={4: kind}), **graph)
     check(found, of(problem, rest), rest)
     assert list(found.refused) == [4]
     assert found.used == tuple(rest)
@@ -354,7 +356,7 @@ def test_nonsense_is_left_out_and_its_sender_named(solve: Solve, kind: Nonsense)
 def test_a_camera_whose_rotation_is_another_in_every_round_is_left_out_and_named() -> None:
     problem, rest = seen(around(6)), [0, 1, 2, 3, 5]
     for seed in range(3):
-        found = solve_refine(*problem, faults=Faults(nonsense={4: "false"}, seed=seed))
+        found = solve_refine(*problem, disturbances=Disturbances(nonsense={4: "false"}, seed=seed))
         check(found, of(problem, rest), rest)
         assert found.refused == {4: "its rotation never settles"}
 
@@ -362,7 +364,7 @@ def test_a_camera_whose_rotation_is_another_in_every_round_is_left_out_and_named
 @pytest.mark.parametrize("solve", [solve_exchange, partial(solve_gossip, bound=100)])
 def test_false_evidence_is_believed_but_the_answer_is_not_called_good(solve: Solve) -> None:
     """That sender's own answer differs, or nothing ever settles."""
-    found = solve(*seen(around(5)), faults=Faults(nonsense={4: "false"}))
+    found = solve(*seen(around(5)), disturbances=Disturbances(nonsense={4: "false"}))
     assert found.status is Status.NOT_CONVERGED
 
 
@@ -408,8 +410,8 @@ def test_cameras_may_live_in_different_processes() -> None:
         moved: RefineState = pickle.loads(pickle.dumps(state))
         return refine_step(moved, [(c, bytes(bytearray(data))) for c, data in inbox])
 
-    faults = Faults(loss=0.05)
-    here, there = run(begin, refine_step, faults, 300), run(begin, packed_step, faults, 300)
+    disturbances = Disturbances(loss=0.05)
+    here, there = run(begin, refine_step, disturbances, 300), run(begin, packed_step, disturbances, 300)
     assert here.rounds == there.rounds
     for a, b in zip(here.states, there.states, strict=True):
         for x, y in zip(arrays(a), arrays(b), strict=True):
@@ -418,7 +420,7 @@ def test_cameras_may_live_in_different_processes() -> None:
 
 def test_states_of_different_cameras_share_no_memory() -> None:
     begin = starts(seen(around(3)))["refine"]
-    states = run(begin, refine_step, Faults(loss=0.1), 300).states
+    states = run(begin, refine_step, Disturbances(loss=0.1), 300).states
     for a in range(3):
         for b in range(a):
             assert not any(np.shares_memory(x, y) for x in arrays(states[a]) for y in arrays(states[b]))
@@ -426,7 +428,7 @@ def test_states_of_different_cameras_share_no_memory() -> None:
 
 def test_the_same_seed_gives_the_same_run() -> None:
     problem = seen(around(4))
-    a, b, c = (solve_refine(*problem, faults=Faults(0.2, 2, seed=s)) for s in (5, 5, 6))
+    a, b, c = (solve_refine(*problem, disturbances=Disturbances(0.2, 2, seed=s)) for s in (5, 5, 6))
     np.testing.assert_array_equal(a.rotations, b.rotations)
     np.testing.assert_array_equal(a.received, b.received)
     assert (a.received != c.received).any()
@@ -434,7 +436,7 @@ def test_the_same_seed_gives_the_same_run() -> None:
 
 def test_what_is_sent_is_received_or_lost() -> None:
     problem = seen(around(4))
-    found = solve_exchange(*problem, rounds=50, faults=Faults(loss=0.25, seed=7))
+    found = solve_exchange(*problem, rounds=50, disturbances=Disturbances(loss=0.25, seed=7))
     assert (found.sent == 50 * 368).all()
     assert found.received.sum() / (3 * found.sent.sum()) == pytest.approx(0.75, abs=0.05)
 
@@ -451,17 +453,17 @@ def test_bad_input_is_refused(solve: Solve) -> None:
         solve([cameras[0], 2 * cameras[1], cameras[2]], moments)
     with pytest.raises(ValueError, match="no camera has matches"):
         solve(cameras, [PairMoments.zero()] * 3)
-    with pytest.raises(ValueError, match=r"faults of cameras \[3\]: there are cameras 0 to 2"):
-        solve(cameras, moments, faults=Faults(dies={3: 1}))
+    with pytest.raises(ValueError, match=r"disturbances of cameras \[3\]: there are cameras 0 to 2"):
+        solve(cameras, moments, disturbances=Disturbances(dies={3: 1}))
 
 
-def test_impossible_faults_are_refused() -> None:
+def test_impossible_disturbances_are_refused() -> None:
     with pytest.raises(ValueError, match=r"loss must be in \[0, 1\)"):
-        Faults(loss=1.0)
+        Disturbances(loss=1.0)
     with pytest.raises(ValueError, match="delay not negative"):
-        Faults(delay=-1)
+        Disturbances(delay=-1)
     with pytest.raises(ValueError, match="nonsense must be one of nan, huge"):
-        Faults(nonsense={0: "noise"})  # type: ignore[dict-item]
+        Disturbances(nonsense={0: "noise"})  # type: ignore[dict-item]
 
 
 def test_a_graph_in_two_parts_is_refused() -> None:

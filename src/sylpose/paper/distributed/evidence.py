@@ -1,8 +1,6 @@
-"""What a camera knows of a rotation, as one quadratic on SO(3) that adds."""
+"""What a camera knows of a rotation, and how it says it: one quadratic cost on SO(3), in 56 numbers."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,26 +8,17 @@ from numpy.typing import ArrayLike
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.orthographic import quadratic_of, views_of
-from sylpose.paper.so3 import cost_of, derivatives
+from sylpose.paper.so3 import Quadratic
 
-__all__ = ["Evidence", "evidence_of"]
+__all__ = ["EVIDENCE", "evidence_of", "packed", "unpacked"]
 
+# Numbers of one: H's upper triangle, h, constant and weight (derived).
+EVIDENCE = 45 + 9 + 2
 
-class Evidence(NamedTuple):
-    """Half the sum of squared residuals of one camera or more: 1/2 r'Hr - h'r + constant, weight = Σ w. Sums add."""
-
-    H: FloatArray
-    h: FloatArray
-    constant: float
-    weight: float
-
-    def information(self, rotation: FloatArray) -> FloatArray:
-        """(3, 3) of w at a rotation, as in `CentralizedSolution`."""
-        hessian, cost = derivatives(self.H, self.h, rotation)[1], float(cost_of(self.H, self.h, rotation))
-        return information_of(hessian, cost + self.constant, self.constant, self.weight)
+_UPPER = np.triu_indices(9)
 
 
-def evidence_of(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> Evidence:
+def evidence_of(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> Quadratic:
     """Of one camera, Q (3, 3) of camera_from_world; zero if its matches have no spread.
 
     Raises:
@@ -37,12 +26,18 @@ def evidence_of(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) 
     """
     views = views_of(np.asarray(rotation, dtype=float)[None], [moments], aim=aim)
     try:
-        q = quadratic_of(views)
+        return quadratic_of(views)
     except ValueError:
-        return Evidence(np.zeros((9, 9)), np.zeros(9), 0.0, 0.0)
-    return Evidence(q.H * q.scale, q.h * q.scale, q.constant * q.scale, q.weight)
+        return Quadratic.zero()
 
 
-def information_of(hessian: FloatArray, cost: float, constant: float, weight: float) -> FloatArray:
-    variance = max(cost, 1e-12 * constant) / weight
-    return np.asarray(hessian / variance)
+def packed(evidence: Quadratic) -> FloatArray:
+    """(56,) as sent. Means and sums of these are those of the evidence."""
+    return np.array([*evidence.H[_UPPER], *evidence.h, evidence.constant, evidence.weight])
+
+
+def unpacked(values: FloatArray) -> Quadratic:
+    """The inverse of `packed`."""
+    H = np.zeros((9, 9))
+    H[_UPPER] = values[:45]
+    return Quadratic(H + np.triu(H, 1).T, values[45:54], values[54], values[55])

@@ -31,10 +31,10 @@ from scipy.sparse.csgraph import shortest_path
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.distributed.evidence import Evidence, evidence_of
+from sylpose.paper.distributed.evidence import EVIDENCE, evidence_of, packed, unpacked
 from sylpose.paper.distributed.messages import Inbox, Message, Packet, encode, newest, read
 from sylpose.paper.distributed.refine import PATIENCE
-from sylpose.paper.so3 import cost_of, minimize
+from sylpose.paper.so3 import minimize
 
 __all__ = ["GossipState", "gossip_start", "gossip_step"]
 
@@ -45,8 +45,6 @@ STILL = 1e-12  # change, relative to x, that is none
 # all take that with the largest sum of entries, weighted by numbers that no mirror leaves alike.
 EQUAL = 1e-10
 _ORDER = np.sqrt([2.0, 3, 5, 7, 11, 13, 17, 19, 23]).reshape(3, 3)
-
-_UPPER = np.triu_indices(9)
 
 
 class Edge(NamedTuple):
@@ -139,8 +137,7 @@ def gossip_start(
         raise ValueError(f"the graph is not connected: cameras {', '.join(cut_off)} cannot reach camera 0")
     values = np.linalg.eigvalsh(laplacian)
     penalty = 1.5 / float(np.sqrt(values[1] * values[-1])) if n_cameras > 1 else 1.0
-    e = evidence_of(rotation, moments, aim=aim)
-    own = np.array([*e.H[_UPPER], *e.h, e.constant, e.weight])
+    own = packed(evidence_of(rotation, moments, aim=aim))
     neighbours = tuple(int(c) for c in np.flatnonzero(laplacian[camera] < 0))
     s = GossipState(camera, neighbours, n_cameras, int(distance.max()), penalty, own, bound, own)
     return s, _packets(s)
@@ -150,13 +147,13 @@ def gossip_step(state: GossipState, inbox: Inbox) -> tuple[GossipState, list[Pac
     """Hear the neighbours, mend the mean, say what it is; solve when all is still."""
     s = state
     inbox = [(c, data) for c, data in inbox if c in s.neighbours]
-    messages, refused = read(inbox, (56,), s.refused)
+    messages, refused = read(inbox, (EVIDENCE,), s.refused)
     news = newest(messages, {c: e.round for c, e in s.edges.items()})
     edges, change = {}, 0.0
     for c in sorted({*s.edges, *news}):
         old, message = s.edges.get(c), news.get(c)
         if message is not None:
-            z = np.zeros(56) if old is None else old.z
+            z = np.zeros(EVIDENCE) if old is None else old.z
             step = RELAXATION * (message.values - z)
             edges[c] = Edge(z + step, message.final, message.round, 0)
             change = max(change, float(np.linalg.norm(step)) / (2 * s.penalty))
@@ -194,26 +191,21 @@ def gossip_step(state: GossipState, inbox: Inbox) -> tuple[GossipState, list[Pac
 def _packets(s: GossipState) -> list[Packet]:
     out = []
     for c in s.neighbours:
-        z = s.edges[c].z if c in s.edges else np.zeros(56)
+        z = s.edges[c].z if c in s.edges else np.zeros(EVIDENCE)
         message = Message(s.round, s.clean, s.quiet > s.diameter, 2 * s.penalty * s.mean - z)
         out.append(Packet((c,), encode(s.camera, message)))
     return out
 
 
 def _solved(s: GossipState) -> GossipState:
-    H = np.zeros((9, 9))
-    H[_UPPER] = s.mean[:45]
-    H += np.triu(H, 1).T
-    n = s.n_cameras
-    evidence = Evidence(n * H, n * s.mean[45:54], n * float(s.mean[54]), n * float(s.mean[55]))
-    scale = float(np.trace(evidence.H)) / 9
-    if not (scale > 0 and evidence.weight > 0):
+    evidence = unpacked(s.n_cameras * s.mean)
+    if not (evidence.scale > 0 and evidence.weight > 0):
         return replace(s, converged=False)
-    candidates = minimize(evidence.H / scale, evidence.h / scale)[0]
-    costs = cost_of(evidence.H / scale, evidence.h / scale, candidates)
+    candidates = minimize(evidence.H, evidence.h)[0]
+    costs = evidence.cost(candidates) / evidence.scale
     best = candidates[costs < costs.min() + EQUAL]
     rotation = best[np.argmax((_ORDER * best).sum(axis=(1, 2)))]
-    return replace(s, rotation=rotation, information=evidence.information(rotation))
+    return replace(s, rotation=rotation, information=evidence.at(rotation).information)
 
 
 def _laplacian(n: int, graph: Iterable[tuple[int, int]]) -> FloatArray:

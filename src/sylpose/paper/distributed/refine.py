@@ -5,12 +5,13 @@ rotation, 72 bytes a round: consensus ADMM on Sylvester's equations. A step is a
 (state, packets): nothing is shared, bytes come in and bytes go out, so that it runs the same in one process
 (`simulated`), in many, or on many machines. `exchange` and `gossip` are schemes of the same kind.
 
-With H_c, h_c of camera c (`orthographic.Quadratic`, not scaled) and its penalty p_c = 0.1 trace(H_c), it sends
+With H_c, h_c of camera c (`so3.Quadratic`) and its penalty p_c = 0.1 trace(H_c), it sends
 V_c = p_c R_c + Y_c, Y_c its multiplier. From the V of all cameras each one computes
 
-    Z = the rotation nearest to Σ V_c,   (H_c + p_c I) r_c = h_c + vec(2 p_c Z - V_c),   V_c += 1.6 p_c (R_c - Z),
+    Z = the rotation nearest to Σ V_c,   A_c R_c B_c + p_c R_c = C_c + 2 p_c Z - V_c,   V_c += 1.6 p_c (R_c - Z),
 
-ADMM in the form of Douglas & Rachford, over-relaxed. The middle equation is Sylvester's, A_c R B_c + p_c R = C_c + ...
+ADMM in the form of Douglas & Rachford, over-relaxed. The middle one is the camera's own Sylvester's equation, p_c in the
+place of the multiplier. Its left side stays what it is: it is solved once, for nine right sides, and a step is a product.
 As the nearest rotation does not depend on scale, penalties may differ and no camera need know another's. Where nothing
 changes any more, R_c = Z for all c and Σ (C_c - A_c Z B_c) = L Z with L = L', the centralised equation.
 
@@ -49,10 +50,12 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.distributed.evidence import Evidence, evidence_of, information_of
+from sylpose.paper.distributed.evidence import evidence_of
 from sylpose.paper.distributed.messages import Inbox, Message, Packet, encode, newest, read
-from sylpose.paper.orthographic import views_of
-from sylpose.paper.so3 import FLAT, cost_of, derivatives, minimize
+from sylpose.paper.equation import solve_generalized_sylvester
+from sylpose.paper.one_camera import solve_one_camera
+from sylpose.paper.orthographic import terms_of, views_of
+from sylpose.paper.so3 import FLAT, LEAST, Quadratic, derivatives
 
 __all__ = ["PATIENCE", "RefineState", "refine_start", "refine_step"]
 
@@ -77,7 +80,7 @@ class Member(NamedTuple):
     Attributes:
         V: (3, 3) as it enters the mean.
         change: relative change by the last message; wander: its mean over the last ten or so.
-        report: in its newest message, if it has settled or is to leap: Hessian (6), cost, constant and weight of its
+        report: in its newest message, if it has settled or is to leap: Hessian (6), cost, size and weight of its
             evidence at its Z, then the five numbers of `_curve`. Else empty.
         final: it has settled.
         round: of its newest message. heard: messages so far.
@@ -97,7 +100,7 @@ class RefineState:
     """One camera of `refine`.
 
     Attributes:
-        evidence, penalty, gain: its H_c, h_c; p_c; p_c (H_c + p_c I)⁻¹, all that is ever factored.
+        evidence, penalty, gain: its H_c, h_c; p_c; p_c times the solutions of A_c R B_c + p_c R = E_k, columns of (9, 9).
         sent: its last message.
         members: the cameras that take part.
         history: (V, change of V) of the last rounds, all members in order.
@@ -118,7 +121,7 @@ class RefineState:
 
     camera: int
     others: tuple[int, ...]
-    evidence: Evidence
+    evidence: Quadratic
     penalty: float
     gain: FloatArray
     bound: int
@@ -158,7 +161,7 @@ class RefineState:
 def refine_start(
     camera: int, others: Iterable[int], rotation: ArrayLike, moments: PairMoments, *, aim: bool = True, bound: int = 500
 ) -> tuple[RefineState, list[Packet]]:
-    """A camera and its first message: its own solution, or rather the mean of the two mirrored ones that one camera
+    """A camera and its first message: its own solution (`solve_one_camera`), the mean of the two mirrored ones that it
     cannot tell apart.
 
     Args:
@@ -168,15 +171,16 @@ def refine_start(
         bound: rounds after which it gives up.
     """
     e = evidence_of(rotation, moments, aim=aim)
-    penalty = PENALTY * float(np.trace(e.H))
-    gain, V = np.zeros((9, 9)), np.zeros((3, 3))
-    if penalty > 0:
-        gain = np.asarray(penalty * np.linalg.inv(e.H + penalty * np.eye(9)))
-        scale = np.trace(e.H) / 9
-        own = minimize(e.H / scale, e.h / scale)[0][0]
-        views = views_of(np.asarray(rotation, dtype=float)[None], [moments], aim=aim)
-        mirror_x, mirror_y = (q[0].T @ np.diag([1.0, 1, -1]) @ q[0] for q in (views.rotation_x, views.rotation_y))
-        V = penalty * (own + mirror_y @ own @ mirror_x) / 2
+    own = solve_one_camera(rotation, moments, aim=aim).rotations.mean(axis=0)
+    penalty, gain, V = 0.0, np.zeros((9, 9)), np.zeros((3, 3))
+    if not np.isfinite(own).all():
+        e = Quadratic.zero()
+    if e.weight > 0:
+        penalty = PENALTY * float(np.trace(e.H))
+        A, B = terms_of(views_of(np.asarray(rotation, dtype=float)[None], [moments], aim=aim))[:2]
+        right_sides = np.eye(9).reshape(9, 3, 3)
+        solved = solve_generalized_sylvester([A[0], penalty * np.eye(3)], [B[0], np.eye(3)], right_sides)
+        gain, V = penalty * solved.reshape(9, 9).T, penalty * own
     message = Message(0, True, False, V.ravel())
     s = RefineState(camera, tuple(c for c in others if c != camera), e, penalty, gain, bound, message)
     return s, _packets(s)
@@ -205,10 +209,10 @@ def refine_step(state: RefineState, inbox: Inbox) -> tuple[RefineState, list[Pac
     reports = {c: own if c == s.camera else m.report for c, m in s.members.items()}
     information, line, leap = None, None, False
     if all(r.size for r in reports.values()):
-        hessian, cost, constant, weight = _unpacked(np.sum([r[:9] for r in reports.values()], axis=0))
+        hessian, cost, size, weight = _unpacked(np.sum([r[:9] for r in reports.values()], axis=0))
         curvature, axes = np.linalg.eigh(hessian)
         if settled and curvature[0] > -FLAT * curvature[2] and weight > 0:
-            information = information_of(hessian, cost, constant, weight)
+            information = hessian * (weight / max(cost, LEAST * size))
         elif s.leaps < LEAPS:
             line = (axes[:, 0], Z)
             own = np.concatenate([own, _curve(s.evidence, *line)])
@@ -332,16 +336,15 @@ def _without_strays(s: RefineState) -> RefineState:
     )
 
 
-def _report(e: Evidence, rotation: FloatArray) -> FloatArray:
+def _report(e: Quadratic, rotation: FloatArray) -> FloatArray:
     hessian = derivatives(e.H, e.h, rotation)[1]
-    cost = max(float(cost_of(e.H, e.h, rotation)) + e.constant, 0.0)
-    return np.array([*hessian[_UPPER], cost, e.constant, e.weight])
+    return np.array([*hessian[_UPPER], max(float(e.cost(rotation)), 0.0), e.size, e.weight])
 
 
-def _curve(e: Evidence, axis: FloatArray, rotation: FloatArray) -> FloatArray:
+def _curve(e: Quadratic, axis: FloatArray, rotation: FloatArray) -> FloatArray:
     """(5,) of the cost at exp(a axis) R: the coefficients of 1, cos a, sin a, cos 2a, sin 2a, which is all there is."""
     angles = np.asarray(2 * np.pi / 5 * np.arange(5), dtype=float)
-    costs = cost_of(e.H, e.h, Rotation.from_rotvec(angles[:, None] * axis).as_matrix() @ rotation)
+    costs = e.cost(Rotation.from_rotvec(angles[:, None] * axis).as_matrix() @ rotation) - e.constant
     return np.asarray(np.linalg.solve(_waves(angles), costs), dtype=float)
 
 

@@ -1,6 +1,6 @@
 """The distributed estimators run in one process: cameras that exchange bytes over a network that may fail.
 
-    solve_exchange, solve_refine, solve_gossip    one call each, by default without any fault
+    solve_exchange, solve_refine, solve_gossip    one call each, by default undisturbed
     run                                           any cameras' steps, over any network
 
 What one camera does is in `exchange`, `refine` and `gossip`; here is only what carries their packets, counts them and
@@ -20,17 +20,16 @@ from scipy.spatial.transform import Rotation
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.matrices import checked_rotations, kron
-from sylpose.paper.centralized import status_of
+from sylpose.paper.centralized import status_of, unseen_turns
 from sylpose.paper.distributed.exchange import exchange_start, exchange_step
 from sylpose.paper.distributed.gossip import gossip_start, gossip_step
 from sylpose.paper.distributed.messages import HEADER, Inbox, Packet
 from sylpose.paper.distributed.refine import refine_start, refine_step
 from sylpose.paper.orthographic import quadratic_of, views_of
-from sylpose.paper.so3 import STATIONARY, derivatives, multiplier_of
-from sylpose.paper.so3_kernels import CERTIFICATE
-from sylpose.results import Status
+from sylpose.paper.so3 import CERTIFICATE
+from sylpose.results import RotationEstimate
 
-__all__ = ["Agreement", "Faults", "Nonsense", "run", "solve_exchange", "solve_gossip", "solve_refine"]
+__all__ = ["Agreement", "Disturbances", "Nonsense", "run", "solve_exchange", "solve_gossip", "solve_refine"]
 
 Nonsense = Literal["nan", "huge", "long", "truncated", "false"]
 
@@ -38,8 +37,8 @@ AGREED = 1e-7  # radians between the answers of cameras that agree
 
 
 @dataclass(frozen=True)
-class Faults:
-    """What goes wrong.
+class Disturbances:
+    """What goes wrong on a simulated network.
 
     Attributes:
         loss: share of the packets that get lost, each link by itself.
@@ -69,7 +68,7 @@ class Faults:
             raise ValueError(f"nonsense must be one of {', '.join(get_args(Nonsense))}, got {sorted(unknown)}")
 
 
-NO_FAULTS = Faults()
+UNDISTURBED = Disturbances()
 
 
 class CameraState(Protocol):
@@ -93,7 +92,7 @@ State = TypeVar("State", bound=CameraState)
 
 
 @dataclass(frozen=True, eq=False)
-class Agreement:
+class Agreement(RotationEstimate):
     """What C cameras came to.
 
     Attributes:
@@ -101,7 +100,8 @@ class Agreement:
             centralised estimator: TURN_NOT_OBSERVABLE, NOT_CERTIFIED or OK.
         rotation: (3, 3) the one they agree on, X_j = R X_i + t in the world frame: the first such camera's. NaN if none
             converged.
-        information: (3, 3) as in `CentralizedSolution`, as that camera found it.
+        information, unseen: (3, 3) and (k, 3) as in `CentralizedSolution`, as that camera found it.
+        iterations: rounds until the last camera was done.
         certified: the multiplier proves `rotation` the global optimum for the cameras in `used`. Checked from outside,
             with everybody's moments: in `refine` no camera could.
         rotations: (C, 3, 3) each camera's answer, NaN where it has none.
@@ -109,22 +109,22 @@ class Agreement:
         spread: largest angle between `rotation` and that of another such camera, radians.
         used: the cameras whose evidence is in `rotation`.
         refused: camera -> why another one did not listen to it.
-        rounds: until the last camera was done.
         sent, received: (C,) bytes; a packet to several cameras is sent once.
     """
 
-    status: Status
-    rotation: FloatArray
-    information: FloatArray
     certified: bool
     rotations: FloatArray
     converged: BoolArray
     spread: float
     used: tuple[int, ...]
     refused: dict[int, str]
-    rounds: int
     sent: IntArray
     received: IntArray
+
+    @property
+    def rounds(self) -> int:
+        """The same as `iterations`."""
+        return self.iterations
 
 
 def solve_exchange(
@@ -133,7 +133,7 @@ def solve_exchange(
     *,
     aim: bool = True,
     rounds: int = 1,
-    faults: Faults = NO_FAULTS,
+    disturbances: Disturbances = UNDISTURBED,
 ) -> Agreement:
     """Every camera sends its moments to all, `rounds` times, and solves with what it heard.
 
@@ -146,9 +146,9 @@ def solve_exchange(
     Raises:
         ValueError: as `solve_centralized`.
     """
-    Q = _checked(rotations, moments, aim, faults)
+    Q = _checked(rotations, moments, aim, disturbances)
     starts = [lambda c=c: exchange_start(c, Q, moments[c], aim=aim, rounds=rounds) for c in range(len(Q))]
-    return _agreement(Q, moments, aim, run(starts, exchange_step, faults, rounds + 1))
+    return _agreement(Q, moments, aim, run(starts, exchange_step, disturbances, rounds + 1))
 
 
 def solve_refine(
@@ -157,17 +157,17 @@ def solve_refine(
     *,
     aim: bool = True,
     bound: int = 500,
-    faults: Faults = NO_FAULTS,
+    disturbances: Disturbances = UNDISTURBED,
 ) -> Agreement:
     """The paper's scheme: cameras send rotations, in up to `bound` rounds. Arguments and errors as `solve_exchange`.
 
     It finds a minimum, not always the least one where there are several (collinear points, say): NOT_CERTIFIED then. Of
     matches that mean nothing it may find none.
     """
-    Q = _checked(rotations, moments, aim, faults)
+    Q = _checked(rotations, moments, aim, disturbances)
     everyone = range(len(Q))
     starts = [lambda c=c: refine_start(c, everyone, Q[c], moments[c], aim=aim, bound=bound) for c in everyone]
-    return _agreement(Q, moments, aim, run(starts, refine_step, faults, bound + 1))
+    return _agreement(Q, moments, aim, run(starts, refine_step, disturbances, bound + 1))
 
 
 def solve_gossip(
@@ -177,7 +177,7 @@ def solve_gossip(
     graph: Iterable[tuple[int, int]] | None = None,
     aim: bool = True,
     bound: int = 1000,
-    faults: Faults = NO_FAULTS,
+    disturbances: Disturbances = UNDISTURBED,
 ) -> Agreement:
     """Average consensus of the evidence over a graph, in up to `bound` rounds.
 
@@ -188,11 +188,11 @@ def solve_gossip(
     Raises:
         ValueError: as `solve_exchange`; a graph that is not connected.
     """
-    Q = _checked(rotations, moments, aim, faults)
+    Q = _checked(rotations, moments, aim, disturbances)
     n = len(Q)
     pairs = [(c, (c + 1) % n) for c in range(n)][: n if n > 2 else n - 1] if graph is None else list(graph)
     starts = [lambda c=c: gossip_start(c, n, pairs, Q[c], moments[c], aim=aim, bound=bound) for c in range(n)]
-    return _agreement(Q, moments, aim, run(starts, gossip_step, faults, bound + 1))
+    return _agreement(Q, moments, aim, run(starts, gossip_step, disturbances, bound + 1))
 
 
 class Outcome(NamedTuple, Generic[State]):
@@ -209,50 +209,51 @@ class Outcome(NamedTuple, Generic[State]):
 def run(
     starts: Sequence[Callable[[], tuple[State, list[Packet]]]],
     step: Callable[[State, Inbox], tuple[State, list[Packet]]],
-    faults: Faults,
+    disturbances: Disturbances,
     bound: int,
 ) -> Outcome[State]:
     """Let cameras make steps, all once a round, until all that live are done; at most `bound` rounds after the last join."""
     n = len(starts)
-    rng = np.random.default_rng(faults.seed)
+    rng = np.random.default_rng(disturbances.seed)
     states: list[State | None] = [None] * n
     under_way: dict[int, list[tuple[int, int, bytes]]] = {}  # round of arrival -> (to, from, data)
     sent, received = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     rounds = 0
-    for now in range(bound + max(faults.joins.values(), default=0) + 1):
+    for now in range(bound + max(disturbances.joins.values(), default=0) + 1):
         inboxes: list[list[tuple[int, bytes]]] = [[] for _ in range(n)]
         for to, sender, data in under_way.pop(now, []):
             inboxes[to].append((sender, data))
         active = False
         for c in range(n):
             state = states[c]
-            if now >= faults.dies.get(c, now + 1) or (state is not None and state.done):
+            if now >= disturbances.dies.get(c, now + 1) or (state is not None and state.done):
                 continue
             active = True
-            if now < faults.joins.get(c, 0):
+            if now < disturbances.joins.get(c, 0):
                 continue
             received[c] += sum(len(data) for _, data in inboxes[c])
             states[c], packets = starts[c]() if state is None else step(state, inboxes[c])
             for packet in packets:
-                data = packet.data if c not in faults.nonsense else _nonsense(faults.nonsense[c], packet.data, rng)
+                kind = disturbances.nonsense.get(c)
+                data = packet.data if kind is None else _nonsense(kind, packet.data, rng)
                 sent[c] += len(data)
                 for to in packet.to:
-                    if rng.random() >= faults.loss:
-                        late = int(rng.integers(faults.delay + 1))
+                    if rng.random() >= disturbances.loss:
+                        late = int(rng.integers(disturbances.delay + 1))
                         under_way.setdefault(now + 1 + late, []).append((to, c, data))
         if not active:
             break
         rounds = now
-    return Outcome(states, [c not in faults.dies for c in range(n)], rounds, sent, received)
+    return Outcome(states, [c not in disturbances.dies for c in range(n)], rounds, sent, received)
 
 
-def _checked(rotations: ArrayLike, moments: Sequence[PairMoments], aim: bool, faults: Faults) -> FloatArray:
+def _checked(rotations: ArrayLike, moments: Sequence[PairMoments], aim: bool, disturbances: Disturbances) -> FloatArray:
     """The rotations; all errors that the centralised estimator would raise."""
     Q = checked_rotations(rotations, len(moments))
     quadratic_of(views_of(Q, moments, aim=aim))
-    unknown = {*faults.dies, *faults.joins, *faults.nonsense} - set(range(len(Q)))
+    unknown = {*disturbances.dies, *disturbances.joins, *disturbances.nonsense} - set(range(len(Q)))
     if unknown:
-        raise ValueError(f"faults of cameras {sorted(unknown)}: there are cameras 0 to {len(Q) - 1}")
+        raise ValueError(f"disturbances of cameras {sorted(unknown)}: there are cameras 0 to {len(Q) - 1}")
     return Q
 
 
@@ -270,18 +271,20 @@ def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome
         rotation, information = good[0].rotation, good[0].information
         spread = max(float(Rotation.from_matrix(rotation.T @ other).magnitude()) for other in answers)
         certified = _certified(Q[list(used)], [moments[c] for c in used], aim, rotation)
+    unseen = unseen_turns(information)
     agreed = len(good) == len(judged) > 0 and spread < AGREED
     return Agreement(
-        status=status_of(agreed, certified, information),
+        status=status_of(agreed, certified, unseen),
         rotation=rotation,
         information=information,
+        unseen=unseen,
+        iterations=outcome.rounds,
         certified=certified,
         rotations=np.array([np.full((3, 3), np.nan) if r is None else r for r in found]),
         converged=converged,
         spread=spread,
         used=used,
         refused=dict(sorted(refused.items())),
-        rounds=outcome.rounds,
         sent=outcome.sent,
         received=outcome.received,
     )
@@ -290,9 +293,9 @@ def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome
 def _certified(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, rotation: FloatArray) -> bool:
     """Whether a rotation is stationary for these cameras together, and K positive definite there (`paper.so3`)."""
     q = quadratic_of(views_of(Q, moments, aim=aim))
-    gradient, _ = derivatives(q.H, q.h, rotation)
-    K = q.H + kron(multiplier_of(q.H, q.h, rotation), np.eye(3))
-    return bool(np.abs(gradient).max() < STATIONARY and np.linalg.eigvalsh(K)[0] > CERTIFICATE)
+    at = q.at(rotation)
+    K = q.H + kron(at.multiplier, np.eye(3))
+    return bool(at.stationary and np.linalg.eigvalsh(K)[0] > CERTIFICATE * q.scale)
 
 
 def _nonsense(kind: Nonsense, data: bytes, rng: np.random.Generator) -> bytes:

@@ -1,0 +1,67 @@
+"""A session as the options of `sylpose track` and `check` ask for it: recorded or live."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from sylpose.capture import Session, live, open_session
+
+__all__ = ["open_asked", "open_recorded"]
+
+
+def open_recorded(
+    path: Path, calibration: Path | None, boxes: Path | None, masks: Path | None, offset: Sequence[str] | None
+) -> Session:
+    """A recording; the arguments are the options of the same names, None where they were not given.
+
+    Raises:
+        ValueError, FileNotFoundError: as `open_session`; an offset that is not CAMERA=FRAMES.
+    """
+    return open_session(path, calibration=calibration, boxes=boxes, masks=masks, offsets=_offsets(offset))
+
+
+def open_asked(
+    path: Path,
+    calibration: Path | None,
+    boxes: Path | None,
+    masks: Path | None,
+    offset: Sequence[str] | None,
+    *,
+    resume: bool,
+    follow: bool,
+    lossless: bool,
+    rate: float | None,
+) -> Session | live.LiveSession:
+    """A recording, or with `follow` or a live.toml a live session; otherwise as `open_recorded`.
+
+    Raises:
+        ValueError: also for options that have no meaning for this kind of session.
+    """
+    if not (follow or live.is_live(path)):
+        for option, value in (("--lossless", lossless), ("--rate", rate)):
+            if value:
+                raise ValueError(f"{option} is only for growing folders, with --follow")
+        return open_recorded(path, calibration, boxes, masks, offset)
+    if offset:
+        raise ValueError(
+            "--offset: frames of live cameras belong together by their times; --offsets FILE is for delays"
+        )
+    if resume:
+        raise ValueError("--resume: a live session cannot be gone back to")
+    return live.open_live(
+        path, calibration=calibration, boxes=boxes, masks=masks, follow=follow, lossless=lossless, rate=rate
+    )
+
+
+def _offsets(given: Sequence[str] | None) -> dict[str, int] | None:
+    offsets = {}
+    for text in given or ():
+        camera, _, frames = text.rpartition("=")
+        try:
+            offsets[camera] = int(frames)
+        except ValueError:
+            camera = ""
+        if not camera:
+            raise ValueError(f"--offset: CAMERA=FRAMES is expected, such as cam_2=5, got {text!r}")
+    return offsets or None

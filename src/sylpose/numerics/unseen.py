@@ -1,0 +1,40 @@
+"""What of an estimate cannot be seen: the directions whose standard deviation exceeds a limit.
+
+Who asks with which limit, and why: docs/conventions.md, "Limits".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sylpose.numerics.arrays import FloatArray
+
+__all__ = ["UNSEEN_SHARE", "UNSEEN_TURN", "about_a_turn", "unseen_directions"]
+
+# A turn less certain than this, in radians, is not seen where there is nothing that it could be compared with (choice).
+UNSEEN_TURN = 0.25
+# A motion, a turn or a distance less certain than this share of itself is not seen: even its sign is in doubt (choice).
+UNSEEN_SHARE = 0.5
+
+
+def unseen_directions(information: FloatArray, limits: FloatArray | float, *, flat: float = 0.0) -> FloatArray:
+    """The directions whose standard deviation exceeds the limits.
+
+    Args:
+        information: (..., n, n) of n unknowns; of several, all with the first one's eigenvalues (mirrored solutions).
+        limits: (n,) in the unknowns' units, or one for all.
+        flat: what is known less well than by this share of what is known best is not seen either: rounding.
+
+    Returns:
+        (..., k, n) orthonormal rows in units of the limits: times `limits`, they are in the unknowns' units.
+    """
+    scale = np.broadcast_to(np.asarray(limits, dtype=float), information.shape[-1:])
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    first = values.reshape(-1, values.shape[-1])[0]
+    k = int((first < max(1.0, flat * first[-1])).sum())
+    return vectors[..., :k].swapaxes(-1, -2)
+
+
+def about_a_turn(directions: FloatArray) -> bool:
+    """Whether directions (k, 6) of (w, d), rows as of `unseen_directions`, hold one that is a turn for the larger part."""
+    return bool(np.linalg.norm(directions[:, :3], 2) ** 2 > 0.5)

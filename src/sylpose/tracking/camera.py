@@ -1,0 +1,203 @@
+"""One camera's part of the tracker: what it sees in its own images, and all that it remembers of the object.
+
+It is asked with what all cameras know alike (a pose, the object's radius, numbers of frames) and sees nothing of other
+cameras. What it finds is its own; what it tells the others of it are `records`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.features.sift import Features, detect, seen_before
+from sylpose.landmarks.places import Landmarks, learn_landmarks
+from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.rig import Camera
+from sylpose.tracking.anchor import CameraAnchor, Followed, begin_anchor, follow, gone_on
+from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, learn_background, match_pair, still
+from sylpose.tracking.region import polygon_mask
+
+__all__ = ["CameraPart", "SeenAgain"]
+
+# Landmarks whose depth is known to this share of the object's radius show where its surface is.
+KNOWN_DEPTH = 0.1
+# So many of them show it better than what the boxes allow.
+MIN_SURFACE = 20
+
+
+@dataclass(frozen=True, eq=False)
+class SeenAgain:
+    """The features of one camera's frame that were seen before.
+
+    Attributes:
+        inliers: the matches with earlier frames that say so.
+        index: (k,) into the frame's features.
+        known: (k) what is known of each, the best of the landmarks that it is matched with.
+        surface: (m, 3) places of those that are known well enough to tell where the object's surface is.
+    """
+
+    inliers: Sequence[Pair]
+    index: IntArray
+    known: Landmarks
+    surface: FloatArray
+
+    @classmethod
+    def none(cls) -> SeenAgain:
+        """Nothing: all features are new."""
+        return cls([], np.empty(0, np.int64), Landmarks.none(), np.empty((0, 3)))
+
+    @classmethod
+    def of(cls, inliers: Sequence[Pair], radius: float) -> SeenAgain:
+        """What a frame's inliers say. A landmark has moved if any that its feature is matched with has, or does so now."""
+        inliers = [pair for pair in inliers if len(pair)]
+        if not inliers:
+            return cls.none()
+        known = Landmarks.concatenate([pair.landmarks for pair in inliers])
+        index, sd = np.concatenate([pair.indices[:, 1] for pair in inliers]), known.depth_sd
+        order = np.lexsort([sd, index])
+        _, first = np.unique(index[order], return_index=True)
+        pick = order[first]
+        moved = known.moved | np.concatenate([~still(pair) for pair in inliers])
+        ever = np.zeros(int(index.max()) + 1, bool)
+        np.logical_or.at(ever, index, moved)
+        best = replace(known.subset(pick), moved=ever[index[pick]])
+        return cls(inliers, index[pick], best, best.mean[sd[pick] < KNOWN_DEPTH * radius])
+
+
+class CameraPart:
+    """What one camera remembers.
+
+    Attributes:
+        index: in the rig.
+        camera: its calibration.
+        frames: what it has of solved frames, by number: the keyframes, the last one and the anchor.
+        anchor: its side of the frame whose features are followed, if any.
+        surroundings: the first frame's features outside the object's region: what is later seen at the same place is
+            background.
+    """
+
+    def __init__(self, index: int, camera: Camera) -> None:
+        self.index, self.camera = index, camera
+        self.frames: dict[int, CameraFrame] = {}
+        self.anchor: CameraAnchor | None = None
+        self.surroundings = Features.none()
+        self._n_landmarks = 0
+
+    # --- seeing: nothing of it is remembered -------------------------------------------------------------------------
+
+    def detect(self, image: Image | None, mask: BoolArray | None, where: BoolArray | None, most: int) -> Features:
+        """The features of an image, inside an area (h, w; None: everywhere) and the object's mask; the `most` strongest."""
+        if image is None:
+            return Features.none()
+        if where is None:
+            where = np.ones(self.camera.size[::-1], bool)
+        return detect(image, self.camera, where if mask is None else where & mask, most)
+
+    def inside(self, features: Features, region: FloatArray | None) -> BoolArray:
+        """(n,) which features are inside a region's outline (k, 2)."""
+        row, column = np.round(features.pixels).astype(np.int64).T[::-1]
+        return np.asarray(polygon_mask(region, self.camera.size)[row, column])
+
+    def frame(self, features: Features) -> CameraFrame:
+        """A frame to be solved; what the first frame has at the same place around the object is background."""
+        return CameraFrame(features, self.known_background(features))
+
+    def known_background(self, features: Features) -> BoolArray:
+        """(n,) features that the first frame had at the same place, outside the object's region."""
+        return seen_before(features, self.surroundings)
+
+    def follow(
+        self,
+        last: RigidTransform,
+        ahead: RigidTransform,
+        image: Image | None,
+        mask: BoolArray | None,
+        radius: float,
+    ) -> Followed:
+        """The anchor's features in the next image. See `anchor.follow`."""
+        assert self.anchor is not None
+        return follow(self.anchor, self.camera, last, ahead, image, mask, radius)
+
+    def match(self, current: CameraFrame, references: Sequence[int]) -> list[Pair]:
+        """Matches by their looks with earlier frames, in this order: each passes on what it knows of the background, and the
+        next one uses it."""
+        pairs = [match_pair(number, self.frames[number], current) for number in references]
+        return [pair for pair in pairs if len(pair)]
+
+    # --- learning: once a frame is accepted --------------------------------------------------------------------------
+
+    def learn_background(
+        self,
+        pairs: Sequence[Pair],
+        current: CameraFrame,
+        now: RigidTransform,
+        known: Mapping[int, SolvedFrame],
+        radius: float,
+    ) -> None:
+        """What stood still where the object, at `now` (world_from_object), had moved by then is background."""
+        for pair in pairs:
+            learn_background(pair, current, self.camera, known[pair.reference].world_from_object, now, radius)
+
+    def learn(
+        self,
+        current: CameraFrame,
+        seen_from: Camera,
+        world_from_object: RigidTransform,
+        seen: SeenAgain,
+        cloud: FloatArray,
+        radius: float,
+        bulge: float = 0.0,
+    ) -> None:
+        """The landmarks of a solved frame.
+
+        Args:
+            seen_from: the camera as it stood for this frame.
+            seen: those of its features that were seen before.
+            cloud: (n, 3) points on the object, object's frame, where too few landmarks tell where its surface is.
+            bulge: see `depth_prior`.
+        """
+        surface = seen.surface if len(seen.surface) >= MIN_SURFACE else cloud
+        features = current.features
+        learnt = learn_landmarks(
+            features, seen_from, world_from_object, seen.known, seen.index, surface, radius, bulge, self._n_landmarks
+        )
+        self._n_landmarks += len(features)
+        if len(current.landmarks):  # they are learnt anew, and stay themselves
+            learnt.id[:] = current.landmarks.id
+        current.landmarks = learnt
+        # The same landmarks as the earlier frames know them: they are matched again, and should know what is known by then.
+        for pair in seen.inliers:
+            pair.earlier.landmarks.update(pair.indices[:, 0], learnt.subset(pair.indices[:, 1]))
+
+    def relearnt(
+        self, number: int, seen_from: Camera, world_from_object: RigidTransform, cloud: FloatArray, radius: float
+    ) -> Landmarks:
+        """A frame's landmarks as if none of them had been seen elsewhere. See `learn`."""
+        frame, none = self.frames[number], SeenAgain.none()
+        new = learn_landmarks(frame.features, seen_from, world_from_object, none.known, none.index, cloud, radius)
+        return replace(new, id=frame.landmarks.id)
+
+    def begin(self, number: int, first: CameraFrame, surroundings: Features) -> None:
+        """The first solved frame; the features around the object in it."""
+        self.frames, self.anchor = {number: first}, None
+        self.surroundings = surroundings
+
+    def keep(self, number: int, current: CameraFrame, numbers: set[int]) -> None:
+        """A solved frame; of those with other numbers than these nothing is kept."""
+        self.frames[number] = current
+        self.frames = {k: frame for k, frame in self.frames.items() if k in numbers}
+
+    def anchor_at(self, number: int, image: Image | None, before: Followed | None) -> None:
+        """A solved frame becomes the anchor. See `anchor.begin_anchor`."""
+        self.anchor = begin_anchor(number, self.frames[number], image, before)
+
+    def go_on(self, followed: Followed, pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> None:
+        """A frame was solved by the anchor's features alone."""
+        self.anchor = gone_on(followed, pairs, weights)
+
+    def forget(self) -> None:
+        """Everything: the object is looked for anew."""
+        self.frames, self.anchor, self.surroundings = {}, None, Features.none()

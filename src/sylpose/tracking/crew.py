@@ -1,0 +1,82 @@
+"""The cameras as the joint part sees them, wherever they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Protocol, TypeVar
+
+from sylpose.landmarks.alignment import FIRST_PX, Aligned, Sights, align
+from sylpose.numerics.arrays import FloatArray
+
+__all__ = ["Crew", "OneProcess"]
+
+T = TypeVar("T")
+
+
+class Crew(Protocol):
+    """What the joint part can have the cameras do. Each camera is named by its index in the rig.
+
+    Every camera that takes part runs the same joint part with the same questions in the same order, so a question need not
+    be sent: it is known what is asked. Answers are sent.
+    """
+
+    def each(self, do: Callable[[int], T]) -> list[T]:
+        """Each camera does something with what is its own, and keeps what comes of it.
+
+        Returns:
+            by camera what came of it. Where a camera is elsewhere so is this: it may be handed on to that camera alone.
+        """
+
+    def ask(self, do: Callable[[int], T]) -> list[T]:
+        """Each camera tells all others something: `records`, or plain numbers and arrays.
+
+        Returns:
+            by camera, in the rig's order, the same everywhere.
+        """
+
+    def align(
+        self, sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = FIRST_PX
+    ) -> tuple[Aligned, list[tuple[FloatArray, FloatArray]]]:
+        """The pose that all cameras' sights agree on best (`landmarks.alignment`).
+
+        Args:
+            sights: by camera, each its own.
+
+        Returns:
+            the pose; by camera, each its own, (weights, residuals) of its sights.
+        """
+
+
+class OneProcess:
+    """All cameras in one process, which work side by side in threads."""
+
+    def __init__(self, cameras: int, workers: int) -> None:
+        self._cameras, self._workers = range(cameras), workers
+        self._pool = ThreadPoolExecutor(workers)
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown()
+
+    def __getstate__(self) -> tuple[int, int]:
+        """Threads are begun anew."""
+        return len(self._cameras), self._workers
+
+    def __setstate__(self, state: tuple[int, int]) -> None:
+        self.__init__(*state)  # type: ignore[misc]
+
+    def each(self, do: Callable[[int], T]) -> list[T]:
+        """See `Crew`."""
+        return list(self._pool.map(do, self._cameras))
+
+    def ask(self, do: Callable[[int], T]) -> list[T]:
+        """See `Crew`. Answers take less time than handing them to a thread would."""
+        return [do(c) for c in self._cameras]
+
+    def align(
+        self, sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = FIRST_PX
+    ) -> tuple[Aligned, list[tuple[FloatArray, FloatArray]]]:
+        """See `Crew`."""
+        aligned = align(sights, rotation, shift, first_px)
+        return aligned, list(zip(aligned.weights, aligned.residuals, strict=True))

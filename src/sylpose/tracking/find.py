@@ -1,0 +1,321 @@
+"""Finding an object's pose in a frame: where it should be, or anywhere. Nothing that is found is learnt here.
+
+What is looked at is each camera's own; that all of them come to the same pose follows from what they tell each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.features.sift import MAX_FEATURES, Features
+from sylpose.frames import FrameSet
+from sylpose.landmarks.places import Landmarks
+from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.matrices import covariance_of
+from sylpose.results import Status
+from sylpose.rig import Rig
+from sylpose.tracking.anchor import Followed, suffices, with_new
+from sylpose.tracking.camera import CameraPart
+from sylpose.tracking.crew import Crew
+from sylpose.tracking.frame import CameraFrame, Frame, Pair, inliers_of
+from sylpose.tracking.frame_solvers import Agreement, Problem, Solution, Solver
+from sylpose.tracking.joint import Joint
+from sylpose.tracking.keyframes import references_of, viewpoints
+from sylpose.tracking.records import Ages, Agreed, Recognised
+from sylpose.tracking.region import polygon_mask, region_polygon
+from sylpose.tracking.relocalise import pose_of, recognised, to_try
+from sylpose.two_frames.motion import motion_about
+
+__all__ = [
+    "Found",
+    "Region",
+    "Team",
+    "followed_from_anchor",
+    "is_a_corner",
+    "is_the_same",
+    "looked_for",
+    "matched",
+    "recognised_anywhere",
+    "regions_of",
+    "solved_from",
+    "split",
+]
+
+Region = FloatArray | None
+
+# Margin of the object's region, as a share of its size in the image; it grows while the object is lost, up to a bound.
+REGION_GROWTH, MAX_GROWTH = 0.15, 1.0
+# Features per camera that are detected where features are followed.
+KLT_FEATURES = 400
+# With a turn less certain than this (radians), an object that was missed is not taken as found, for so many frames at most.
+AGAIN_SD, WAIT_FOR_MORE = 0.005, 2
+# A pose found again must be the one that relocalisation found: within this turn (radians) and share of the radius.
+AGAIN_TURN, AGAIN_SHIFT = 0.17, 0.3
+# Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before found.
+SPEED_ROUNDS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Team:
+    """Who tracks, and how.
+
+    Attributes:
+        rig: C cameras.
+        parts: by camera, each its own: what it remembers.
+        crew: the cameras at work.
+        solve: the method.
+        follows: whether features are followed from image to image.
+        offsets: (C,) seconds by which each camera's images are later than its time stamps say.
+        seed: of the outlier rejection.
+    """
+
+    rig: Rig
+    parts: Sequence[CameraPart]
+    crew: Crew
+    solve: Solver
+    follows: bool
+    offsets: FloatArray
+    seed: int
+
+    def rng(self) -> np.random.Generator:
+        """The same outlier rejection for the same frame, whatever came before."""
+        return np.random.default_rng(self.seed)
+
+    def detect(self, frames: FrameSet, regions: Sequence[Region] | None, most: int) -> list[Features]:
+        """By camera, each its own: the features inside the object's regions; None: anywhere."""
+
+        def of(c: int) -> Features:
+            camera = self.rig.cameras[c]
+            where = None if regions is None else polygon_mask(regions[c], camera.size)
+            return self.parts[c].detect(frames.images[c], frames.masks[c], where, most)
+
+        return self.crew.each(of)
+
+    def surroundings(self, frames: FrameSet, regions: Sequence[Region]) -> list[Features]:
+        """By camera, each its own: the features outside the object's regions."""
+
+        def of(c: int) -> Features:
+            around = ~polygon_mask(regions[c], self.rig.cameras[c].size)
+            return self.parts[c].detect(frames.images[c], frames.masks[c], around, MAX_FEATURES)
+
+        return self.crew.each(of)
+
+    def frame(self, number: int, frames: FrameSet, features: Sequence[Features]) -> Frame:
+        """A frame to be solved, of each camera's own features."""
+        own = [frames.time if time is None else time for time in frames.times]
+        late = np.array(own) - frames.time + self.offsets
+        return Frame(number, frames.time, late, self.crew.each(lambda c: self.parts[c].frame(features[c])))
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A frame's motion since the last one, and what it was found from.
+
+    Attributes:
+        frame: not solved yet.
+        rig: the cameras as they stood for it.
+        pairs: by camera, each its own: the matches.
+        solution: see there.
+        motion: of the object since the last solved frame.
+        agreed: by camera, what of its matches agrees.
+        regions: where it was looked for.
+        followed: by camera, each its own: its first features, if they were followed.
+        anew: whether it has others, to be matched by their looks.
+        first: by camera, each its own: the landmarks of the first frame, where this one tells better where they are.
+    """
+
+    frame: Frame
+    rig: Rig
+    pairs: Sequence[Sequence[Pair]]
+    solution: Solution
+    motion: RigidTransform
+    agreed: Sequence[Agreed]
+    regions: Sequence[Region]
+    followed: Sequence[Followed] | None
+    anew: bool
+    first: Sequence[Landmarks] | None = None
+
+    @property
+    def matches(self) -> int:
+        """Number of matches that agree."""
+        return sum(a.matches for a in self.agreed)
+
+
+def regions_of(
+    team: Team, joint: Joint, world_from_object: RigidTransform, growth: float = REGION_GROWTH
+) -> list[Region]:
+    """By camera, each its own: the outline (k, 2) of the object at a pose, with a margin; None if out of view."""
+    points = world_from_object.apply(joint.object.points)
+    return team.crew.each(lambda c: region_polygon(team.rig.cameras[c], points, growth))
+
+
+def split(team: Team, features: Sequence[Features], regions: Sequence[Region]) -> tuple[list[Features], list[Features]]:
+    """By camera, each its own: the features inside the regions and those outside."""
+    inside = team.crew.each(lambda c: team.parts[c].inside(features[c], regions[c]))
+    return (
+        team.crew.each(lambda c: features[c].subset(inside[c])),
+        team.crew.each(lambda c: features[c].subset(~inside[c])),
+    )
+
+
+def followed_from_anchor(
+    team: Team, joint: Joint, frames: FrameSet, ahead: RigidTransform, regions: Sequence[Region]
+) -> tuple[list[Followed], bool]:
+    """By camera, each its own: the anchor's features in the next images; and whether they suffice to do without others."""
+    assert joint.anchor is not None
+    last, radius = joint.base.world_from_object, joint.object.radius
+    followed = team.crew.each(lambda c: team.parts[c].follow(last, ahead, frames.images[c], frames.masks[c], radius))
+    reports = team.crew.ask(lambda c: followed[c].report(regions[c]))
+    return followed, suffices(reports, joint.anchor, ahead)
+
+
+def looked_for(
+    team: Team, frames: FrameSet, regions: Sequence[Region], followed: Sequence[Followed] | None
+) -> list[Features]:
+    """By camera, each its own: the features in the object's regions, after those that were followed."""
+    detected = team.detect(frames, regions, KLT_FEATURES if team.follows else MAX_FEATURES)
+    if followed is None:
+        return detected
+    return team.crew.each(lambda c: with_new(followed[c], detected[c], team.parts[c].known_background(detected[c])))
+
+
+def matched(
+    team: Team,
+    joint: Joint,
+    frame: Frame,
+    guess: RigidTransform,
+    followed: Sequence[Followed] | None = None,
+    *,
+    anew: bool = True,
+) -> list[list[Pair]]:
+    """By camera, each its own: matches with the anchor, of what was followed, and, of what is new, with the last solved
+    frame and with keyframes that show the object from about the same side.
+
+    Args:
+        guess: world_from_object.
+        anew: whether there is anything new.
+    """
+    here, last = viewpoints(team.rig, guess), joint.base if followed is None else None
+
+    def of(c: int) -> list[Pair]:
+        pairs = [followed[c].pair()] if followed is not None and len(followed[c]) else []
+        if anew:
+            references = [*([] if last is None else [last]), *references_of(joint.keyframes, c, here[c], last)]
+            pairs += team.parts[c].match(frame.cameras[c], [reference.number for reference in references])
+        return pairs
+
+    return team.crew.each(of)
+
+
+def solved_from(
+    team: Team,
+    joint: Joint,
+    frame: Frame,
+    pairs: Sequence[Sequence[Pair]],
+    guess: RigidTransform,
+    regions: Sequence[Region],
+    followed: Sequence[Followed] | None = None,
+    *,
+    anew: bool = True,
+) -> Found | None:
+    """A frame's pose by its matches, from a guess (world_from_object); None if it cannot be found from there."""
+    base, velocity, crew = joint.base, joint.velocity, team.crew
+    center, elapsed = base.world_from_object.translation, frame.time - base.time
+    speed, first = velocity.motion(elapsed), None
+    for _ in range(SPEED_ROUNDS):
+        rig = velocity.rig_seen_at_once(team.rig, frame.late, center, speed, elapsed)
+        motion = guess * base.world_from_object.inv()
+        hypothesis = (motion.rotation.as_matrix(), motion.apply(center) - center)
+        radius = joint.object.radius
+        problem = Problem(rig, base, joint.known, radius, hypothesis, team.seed, frame.cameras, pairs)
+        solution = team.solve(crew, problem)
+        if not solution.status.has_pose or (solution.status is Status.NO_MOTION and joint.missed):
+            return None
+        if not joint.lost and solution.status is not Status.NO_MOTION:
+            known = solution.rotation, solution.shift, solution.information
+            rotation, shift, information = velocity.added_to(*known, center, elapsed)
+            solution = replace(solution, rotation=rotation, shift=shift, information=information)
+        speed = motion = motion_about(center, solution.rotation, solution.shift)
+        guess = motion * base.world_from_object
+        if not frame.late.any():
+            break
+        # The cameras' instants were accounted for with the speed of the frame before; now this frame's is known, and
+        # after the first motion also the first frame's.
+        if base is joint.keyframes[0] and len(joint.keyframes) == 1:
+            first = _first_relearnt(team, joint, velocity.rig_seen_at_once(team.rig, base.late, center, speed, elapsed))
+            pairs = _with_first(crew, pairs, base.number, first)
+    agreement = solution.agreement
+    agreed = crew.ask(lambda c: _agreed(pairs[c], agreement[c], frame.cameras[c]))
+    return Found(frame, rig, pairs, solution, motion, agreed, regions, followed, anew, first)
+
+
+def _first_relearnt(team: Team, joint: Joint, seen_from: Rig) -> list[Landmarks]:
+    """By camera, each its own: the landmarks of the first frame, by cameras as they stood for it."""
+    first, cloud, radius = joint.base, joint.object.points, joint.object.radius
+    return team.crew.each(
+        lambda c: team.parts[c].relearnt(first.number, seen_from.cameras[c], first.world_from_object, cloud, radius)
+    )
+
+
+def _with_first(
+    crew: Crew, pairs: Sequence[Sequence[Pair]], number: int, landmarks: Sequence[Landmarks]
+) -> list[list[Pair]]:
+    """The pairs, with other landmarks of the first frame."""
+
+    def of(c: int) -> list[Pair]:
+        return [
+            replace(pair, earlier=replace(pair.earlier, landmarks=landmarks[c])) if pair.reference == number else pair
+            for pair in pairs[c]
+        ]
+
+    return crew.each(of)
+
+
+def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -> Agreed:
+    """What a camera tells the others of a solution."""
+    inliers = inliers_of(pairs, [w for w, _ in agreement])
+    squares = np.concatenate([np.empty(0), *(r[w > 0] ** 2 for w, r in agreement)])
+    indices = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in inliers)])
+    return Agreed(
+        matches=len(indices),
+        references=tuple(pair.reference for pair in pairs),
+        weights=tuple(float(w.sum()) for w, _ in agreement),
+        ages=Ages.of(np.concatenate([np.empty(0), *(pair.landmarks.seen for pair in inliers)])),
+        features=len(np.unique(indices)),
+        residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
+        sees=len(current.features) > 0,
+    )
+
+
+def recognised_anywhere(team: Team, joint: Joint, frame: Frame) -> RigidTransform | None:
+    """world_from_object by the keyframes' landmarks alone, wherever the object is; None if it is not found.
+
+    Args:
+        frame: with the features of the whole images.
+    """
+
+    def of(c: int) -> Recognised:
+        part = team.parts[c]
+        tried = to_try(joint.keyframes, c, joint.base, joint.missed)
+        return recognised([part.frames[k.number] for k in tried], frame.cameras[c], joint.object.radius)
+
+    found = team.crew.each(of)
+    return pose_of(team.rig, team.crew.ask(lambda c: found[c]))
+
+
+def is_the_same(joint: Joint, found: Found, pose: RigidTransform) -> bool:
+    """Whether what was found is what was recognised: solvers that start there may end elsewhere."""
+    away = found.motion * joint.base.world_from_object * pose.inv()
+    far = np.linalg.norm(away.apply(pose.translation) - pose.translation) > AGAIN_SHIFT * joint.object.radius
+    return bool(not far and away.rotation.magnitude() <= AGAIN_TURN)
+
+
+def is_a_corner(joint: Joint, found: Found) -> bool:
+    """Whether so little of an object that was missed is back that the next frame will show more, and what would be learnt
+    now stay wrong."""
+    uncertain = bool(np.sqrt(np.diag(covariance_of(found.solution.information))[:3].max()) > AGAIN_SD)
+    return joint.missed > 0 and uncertain and joint.seen_again < WAIT_FOR_MORE

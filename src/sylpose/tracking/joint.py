@@ -1,0 +1,150 @@
+"""What all cameras know alike of the object: where it is, how it moves, how large it is, which frames it was solved in.
+
+Everything here follows from what the cameras tell each other, so that as many copies as there are cameras stay the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.matrices import covariance_of
+from sylpose.tracking.anchor import Anchor
+from sylpose.tracking.frame import SolvedFrame
+from sylpose.tracking.keyframes import with_keyframe
+from sylpose.tracking.object_model import ObjectModel
+from sylpose.tracking.records import Agreed
+from sylpose.tracking.velocity import Velocity
+
+__all__ = ["Joint", "covariance_with_references"]
+
+# An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
+# (object's radii) is less certain than this.
+MAX_COASTING, COASTING_TURN, COASTING_SHIFT = 15, 0.35, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """The joint part's state between two frames.
+
+    Attributes:
+        object: its size and points.
+        last: the last solved frame; None before the first.
+        keyframes: solved frames from all sides of the object, in order of time.
+        anchor: the frame whose features are followed, if any.
+        velocity: how it moves.
+        missed: frames since the last solved one.
+        seen_again: frames in which it was seen, but not well enough, after it was missed.
+        lost: whether nothing is known any more of where it is.
+    """
+
+    object: ObjectModel = field(default_factory=ObjectModel)
+    last: SolvedFrame | None = None
+    keyframes: tuple[SolvedFrame, ...] = ()
+    anchor: Anchor | None = None
+    velocity: Velocity = field(default_factory=Velocity)
+    missed: int = 0
+    seen_again: int = 0
+    lost: bool = False
+
+    @property
+    def base(self) -> SolvedFrame:
+        """The last solved frame, once there is one."""
+        assert self.last is not None
+        return self.last
+
+    @property
+    def known(self) -> Mapping[int, SolvedFrame]:
+        """The solved frames that later ones may be matched with, by number."""
+        frames = (
+            [*self.keyframes, self.base] if self.anchor is None else [*self.keyframes, self.anchor.frame, self.base]
+        )
+        return {frame.number: frame for frame in frames}
+
+    def predicted(self, time: float) -> RigidTransform:
+        """The pose that constant velocity gives; the last pose once the object is lost."""
+        last = self.base.world_from_object
+        return last if self.lost else self.velocity.motion(time - self.base.time) * last
+
+    def begun(self, first: SolvedFrame) -> Joint:
+        """With the frame whose pose defines the object's frame."""
+        return replace(self, last=first, keyframes=(first,))
+
+    def accepted(self, solved: SolvedFrame, motion: RigidTransform, *, anew: bool) -> Joint:
+        """With a solved frame.
+
+        Args:
+            motion: of the object since the last one.
+            anew: whether it has features of its own, to be matched by their looks.
+        """
+        velocity = self.velocity.forgotten(stands=self.lost) if self.missed else self.velocity
+        if not self.lost:
+            elapsed = solved.time - self.base.time
+            velocity = velocity.learnt(motion, self.base.world_from_object.translation, elapsed)
+        return replace(
+            self,
+            last=solved,
+            keyframes=with_keyframe(self.keyframes, solved) if anew else self.keyframes,
+            anchor=None if anew or self.anchor is None else replace(self.anchor, age=self.anchor.age + 1),
+            velocity=velocity,
+            missed=0,
+            seen_again=0,
+            lost=False,
+        )
+
+    def without(self, time: float) -> tuple[Joint, FloatArray]:
+        """After a frame in which the object was not found: it is taken to have gone on as before, until that says nothing.
+
+        Returns:
+            the state; the covariance (6, 6) of (w, d) of where it is thought to be.
+        """
+        missed, last = self.missed + 1, self.base
+        covariance = last.covariance + self.velocity.spread(time - last.time, missed)
+        sd = np.sqrt(np.diag(covariance))
+        certain = sd[:3].max() < COASTING_TURN and sd[3:].max() < COASTING_SHIFT * self.object.radius
+        return replace(self, missed=missed, lost=self.lost or missed > MAX_COASTING or not certain), covariance
+
+    def relearnt(self, radius: float) -> Joint:
+        """Once it is known how large the object is: what boxes told of the depth of its landmarks is forgotten."""
+        young = {frame.number: replace(frame, age=1.0) for frame in (*self.keyframes, self.base)}
+        return replace(
+            self,
+            object=replace(self.object, radius=radius, guessed=False),
+            keyframes=tuple(young[frame.number] for frame in self.keyframes),
+            last=young[self.base.number],
+        )
+
+
+def covariance_with_references(
+    information: FloatArray,
+    now: RigidTransform,
+    agreed: Sequence[Agreed],
+    known: Mapping[int, SolvedFrame],
+    radius: float,
+) -> FloatArray:
+    """(6, 6) of (w, d), a frame's covariance plus the references' own.
+
+    The references' errors come from common ancestors, so they are taken as fully correlated: then the covariance of their
+    weighted mean is at most the weighted mean of their covariances. The weights are their shares of inliers.
+
+    Args:
+        information: (6, 6) of (w, d), of the frame's fit.
+        now: world_from_object.
+        agreed: by camera.
+        radius: of the object.
+    """
+    total = max(sum(sum(a.weights) for a in agreed), 1e-12)
+    inherited = np.zeros((6, 6))
+    for a in agreed:
+        for number, weight in zip(a.references, a.weights, strict=True):
+            # An error of the reference's pose, in world axes, turns with the object.
+            turn = (now.rotation * known[number].world_from_object.rotation.inv()).as_matrix()
+            both = np.kron(np.eye(2), turn)
+            inherited += weight / total * (both @ known[number].covariance @ both.T)
+    # What cannot be observed is bounded: no motion by half a turn or by the object's size is matched.
+    bound = np.repeat([np.pi**-2, radius**-2], 3)
+    return covariance_of(information + np.diag(bound)) + inherited

@@ -1,0 +1,190 @@
+"""Accepting a frame: its pose becomes a fact, and all that it teaches is learnt."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.features.sift import Features
+from sylpose.frames import FrameSet
+from sylpose.numerics.arrays import FloatArray
+from sylpose.results import FramePose, Status
+from sylpose.tracking.anchor import Anchor
+from sylpose.tracking.camera import SeenAgain
+from sylpose.tracking.find import Found, Region, Team
+from sylpose.tracking.frame import Frame, Pair, SolvedFrame, inliers_of, triangulate
+from sylpose.tracking.joint import Joint, covariance_with_references
+from sylpose.tracking.keyframes import viewpoints
+from sylpose.tracking.records import total_ages
+from sylpose.tracking.sights import usual_age
+from sylpose.tracking.start import first_motion
+from sylpose.tracking.tracked_frame import Sightings, TrackedFrame, shown, sightings, unsolved_frame
+from sylpose.two_frames.motion import motion_about
+from sylpose.two_frames.verdict import observed
+
+__all__ = ["accept_first", "accepted", "not_found", "triangulated", "with_surface"]
+
+# One camera sees a turn and its mirror image alike, with hollow for round: an object in a box is taken to be round, and its
+# middle to be nearer than its centre by this share of its radius.
+BULGE = 0.5
+# So many points show where an object's surface is.
+MIN_POINTS = 20
+
+
+def accept_first(
+    team: Team,
+    joint: Joint,
+    frames: FrameSet,
+    frame: Frame,
+    surroundings: Sequence[Features],
+    center: FloatArray,
+    regions: Sequence[Region],
+) -> tuple[Joint, TrackedFrame]:
+    """The frame whose pose defines the object's frame.
+
+    Args:
+        surroundings: by camera, each its own: the features around the object.
+        center: (3,) of the object, world.
+    """
+    crew, parts, model = team.crew, team.parts, joint.object
+    pose = RigidTransform.from_translation(center)
+    sees = np.array(crew.ask(lambda c: len(frame.cameras[c].features) > 0))
+    first = SolvedFrame(frame.number, frame.time, frame.late, pose, np.zeros((6, 6)), viewpoints(team.rig, pose), sees)
+    bulge = BULGE if model.bounded and len(team.rig) == 1 else 0.0
+
+    def learn(c: int) -> None:
+        part, current = parts[c], frame.cameras[c]
+        part.begin(frame.number, current, surroundings[c])
+        part.learn(current, part.camera, pose, SeenAgain.none(), model.points, model.radius, bulge)
+
+    crew.each(learn)
+    joint = joint.begun(first)
+    if team.follows:
+        crew.each(lambda c: parts[c].anchor_at(frame.number, frames.images[c], None))
+        joint = replace(joint, anchor=Anchor(first))
+    n = len(team.rig)
+    nothing = np.zeros(n, np.int64), np.full(n, np.nan)
+    result = FramePose(frames.index, frames.time, Status.FIRST, pose, first.covariance, *nothing)
+    seen = crew.each(lambda c: sightings([], frame.cameras[c]))
+    return joint, TrackedFrame(result, frames, (None,) * n, tuple(regions), model.radius, tuple(seen), frame.late)
+
+
+def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[Joint, TrackedFrame]:
+    """A frame is solved."""
+    crew, parts, base, frame, solution = team.crew, team.parts, joint.base, found.frame, found.solution
+    known, radius = joint.known, joint.object.radius
+    pose = found.motion * base.world_from_object
+    stood = solution.status is Status.NO_MOTION  # the pose is the base's, and so is its error
+    covariance = base.covariance
+    if not stood:
+        covariance = covariance_with_references(solution.information, pose, found.agreed, known, radius)
+    solved = SolvedFrame(
+        frame.number,
+        frame.time,
+        frame.late,
+        pose,
+        covariance,
+        viewpoints(team.rig, pose),
+        np.array([a.sees for a in found.agreed]),
+        usual_age(total_ages([a.ages for a in found.agreed])),
+    )
+
+    def seen_again(c: int) -> SeenAgain:
+        if found.first is not None:
+            parts[c].frames[base.number].landmarks = found.first[c]
+        if found.anew:
+            parts[c].learn_background(found.pairs[c], frame.cameras[c], pose, known, radius)
+        return SeenAgain.of(inliers_of(found.pairs[c], [w for w, _ in solution.agreement[c]]), radius)
+
+    seen = crew.each(seen_again)
+    model = joint.object
+    if not model.bounded:
+        for surface in crew.ask(lambda c: seen[c].surface):
+            model = model.with_points(surface, team.seed)
+    status = Status.RELOCALISED if joint.missed else Status.TRACKED
+    after = replace(joint, object=model).accepted(solved, found.motion, anew=found.anew)
+    # Where it was found again next to nothing is known of what else is seen: the next frame asks the keyframes too.
+    if found.anew and team.follows and status is Status.TRACKED:
+        after = replace(after, anchor=Anchor(solved))
+    kept, begins = set(after.known), after.anchor is not None and after.anchor.age == 0 and found.anew
+
+    def learn(c: int) -> tuple[tuple[FloatArray, FloatArray] | None, Sightings]:
+        part, current = parts[c], frame.cameras[c]
+        followed = None if found.followed is None else found.followed[c]
+        part.learn(current, found.rig.cameras[c], pose, seen[c], model.points, radius)
+        if followed is not None and not found.anew:
+            part.go_on(followed, found.pairs[c], [w for w, _ in solution.agreement[c]])
+        part.keep(frame.number, current, kept)
+        if begins:
+            part.anchor_at(frame.number, frames.images[c], followed)
+        before = None if followed is None else followed.before
+        return shown(seen[c].inliers, current, base.number, before), sightings(seen[c].inliers, current)
+
+    learnt = crew.each(learn)
+    result = FramePose(
+        frames.index,
+        frames.time,
+        Status.SCALE_NOT_OBSERVABLE if len(team.rig) == 1 else status,
+        pose,
+        covariance,
+        np.array([a.features for a in found.agreed], np.int64),
+        np.array([a.residual_px for a in found.agreed]),
+    )
+    matches, seen_now = zip(*learnt, strict=True)
+    return after, TrackedFrame(result, frames, matches, tuple(found.regions), model.radius, seen_now, frame.late)
+
+
+def not_found(
+    joint: Joint, frames: FrameSet, ahead: RigidTransform, regions: Sequence[Region]
+) -> tuple[Joint, TrackedFrame]:
+    """A frame in which the object was not found: it is taken to have gone on as before, until that says nothing.
+
+    Args:
+        ahead: world_from_object as predicted.
+        regions: where it was looked for.
+    """
+    joint, covariance = joint.without(frames.time)
+    if joint.lost:
+        return joint, unsolved_frame(frames, Status.LOST, regions, joint.object.radius)
+    return joint, unsolved_frame(frames, Status.COASTING, regions, joint.object.radius, ahead, covariance)
+
+
+def with_surface(team: Team, joint: Joint, pairs: Sequence[Sequence[Pair]]) -> Joint:
+    """What boxes allow is much deeper than the object. Epipolar geometry needs no depth: once it finds a motion since the
+    first frame, that tells where the surface is, and the landmarks are learnt anew.
+
+    Args:
+        pairs: by camera, each its own: the matches of a frame that is not solved yet.
+    """
+    crew, first = team.crew, joint.keyframes[0]
+    found = first_motion(crew, team.rig, pairs, first.number, team.rng())
+    enough = (Status.OK,) if len(team.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
+    if observed(found.fit, joint.object.radius).status not in enough:
+        return joint
+    before = first.world_from_object
+    now = motion_about(found.center, found.fit.rotation, found.fit.shift) * before
+    points = np.concatenate(crew.ask(lambda c: triangulated(team, c, found.inliers[c], before, now)))
+    if len(points) < MIN_POINTS:
+        return joint
+    joint = joint.relearnt(found.radius)
+
+    def learn(c: int) -> None:
+        part, camera = team.parts[c], team.rig.cameras[c]
+        for solved in {k.number: k for k in (*joint.keyframes, joint.base)}.values():
+            part.frames[solved.number].landmarks = part.relearnt(
+                solved.number, camera, solved.world_from_object, points, found.radius
+            )
+
+    crew.each(learn)
+    return joint
+
+
+def triangulated(
+    team: Team, c: int, inliers: Sequence[Pair], before: RigidTransform, now: RigidTransform
+) -> FloatArray:
+    """(m, 3) where a camera's inliers are on the object. See `frame.triangulate`."""
+    points = [triangulate(pair, team.rig.cameras[c], before, now) for pair in inliers]
+    return np.concatenate([np.empty((0, 3)), *points])

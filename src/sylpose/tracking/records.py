@@ -1,0 +1,139 @@
+"""What one camera tells all the others: small frozen records of numbers, no image, no feature, no function.
+
+A frame's decisions are functions of these alone (`joint`, `phases`), so that every camera that hears the same comes to the
+same (docs/map.md, "Two halves").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sylpose.landmarks.alignment import Sights
+from sylpose.numerics.arrays import FloatArray
+from sylpose.two_frames.terms import TermData
+
+__all__ = ["Ages", "Agreed", "Chance", "Following", "Known", "Moved", "Recognised", "total_ages"]
+
+
+@dataclass(frozen=True, eq=False)
+class Following:
+    """How one camera's followed features are.
+
+    Attributes:
+        found, alive: how many are still seen; how many of the anchor's are on the object for all that is known.
+        looks: whether it has an image and the object should be in it.
+        follows: whether it had an image before, to follow them from.
+    """
+
+    found: int
+    alive: int
+    looks: bool
+    follows: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """One camera's matches with one earlier frame that do not stand still.
+
+    Attributes:
+        term: the matches.
+        shift_px: (n,) by how much each is displaced, pixels.
+    """
+
+    term: TermData
+    shift_px: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Ages:
+    """In how many frames one camera's landmarks were seen.
+
+    Attributes:
+        values, counts: (k,) so many frames, that many landmarks.
+        moving: how many of them move or did.
+        oldest: the largest value of all landmarks of the frames that were matched with.
+    """
+
+    values: FloatArray
+    counts: FloatArray
+    moving: int = 0
+    oldest: int = 0
+
+    @classmethod
+    def of(cls, seen: FloatArray, moving: int = 0, oldest: int = 0) -> Ages:
+        """Of landmarks seen in so many frames (n,)."""
+        values, counts = np.unique(seen, return_counts=True)
+        return cls(values.astype(float), counts.astype(float), moving, oldest)
+
+
+def total_ages(of_cameras: list[Ages]) -> FloatArray:
+    """(n,) in how many frames each landmark of all cameras was seen, in order."""
+    values = np.concatenate([ages.values for ages in of_cameras])
+    return np.sort(np.repeat(values, np.concatenate([ages.counts for ages in of_cameras]).astype(np.int64)))
+
+
+@dataclass(frozen=True, eq=False)
+class Chance:
+    """How many of one camera's features agree with a pose.
+
+    Attributes:
+        matches: weighted matches, of which a feature may have several.
+        inliers, tried: features.
+        by_chance: how many would agree if their matches were random.
+        unknowns: that the camera's surface adds.
+    """
+
+    matches: int
+    inliers: int
+    tried: int
+    by_chance: float
+    unknowns: int
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """One camera's landmarks that agree with a pose and whose depth is known.
+
+    Attributes:
+        sights: the matches.
+        weights: (n,) 0 for those that are not used.
+    """
+
+    sights: Sights
+    weights: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Agreed:
+    """What of one camera's matches agrees with the frame's pose.
+
+    Attributes:
+        matches: number of inliers.
+        references: numbers of the frames they are matches with, and weights: the sum of each one's weights.
+        ages: of the inliers' landmarks.
+        features: number of features that are inliers.
+        residual_px: the rms of their residuals, NaN without any.
+        sees: whether the frame has any feature of this camera.
+    """
+
+    matches: int
+    references: tuple[int, ...]
+    weights: tuple[float, ...]
+    ages: Ages
+    features: int
+    residual_px: float
+    sees: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Recognised:
+    """One camera's features that look like landmarks of its keyframes.
+
+    Attributes:
+        points: (n, 3) the landmarks, object's frame; pixels: (n, 2) the features.
+    """
+
+    points: FloatArray
+    pixels: FloatArray

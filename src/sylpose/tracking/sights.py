@@ -1,0 +1,116 @@
+"""One camera's terms of a frame's pose: its matches with landmarks, how far they are trusted, and how many agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sylpose.landmarks.alignment import Sights
+from sylpose.landmarks.alignment_kernels import CUTOFF
+from sylpose.landmarks.places import Landmarks
+from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.rig import Camera
+from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, still
+from sylpose.tracking.records import Ages, Chance
+
+__all__ = ["ages_of", "chance_of", "cut", "sights_of", "smear", "usual_age", "with_trust"]
+
+# Landmarks with less trust are no evidence that a pose is right. One that stands still and never moved has a little less
+# (`frame_solvers.STILL_TRUST`).
+TRUSTED = 0.06
+
+
+def sights_of(
+    camera: Camera, pairs: Sequence[Pair], current: CameraFrame, base: SolvedFrame
+) -> tuple[Sights, BoolArray]:
+    """A camera's matches of landmarks, carried to where the object was in the base frame, and (n,) which of them move or
+    did; their trust is for now in how many frames they were seen.
+
+    Args:
+        camera: as it stood for this frame.
+    """
+    known = Landmarks.concatenate([pair.landmarks for pair in pairs])
+    index = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in pairs)])
+    turn, center = base.world_from_object.rotation, base.world_from_object.translation
+    points = turn.apply(known.mean).reshape(-1, 3)
+    error = turn.apply(known.depth_error).reshape(-1, 3)
+    away = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
+    # In how many frames each feature was seen, by the best known of its landmarks.
+    seen = np.zeros(int(index.max(initial=-1)) + 1)
+    np.maximum.at(seen, index, known.seen)
+    moving = np.concatenate([np.empty(0, bool), *(~still(pair) for pair in pairs)]) | known.moved
+    sights = Sights(
+        points=points,
+        depth_error=error * away[:, None],
+        image=current.features.normalized[index],
+        feature=index,
+        trust=seen[index],
+        rotation=camera.rotation,
+        center=camera.center - center,
+        focal=camera.focal,
+    )
+    return sights, moving
+
+
+def ages_of(sights: Sights, moving: BoolArray, pairs: Sequence[Pair]) -> Ages:
+    """In how many frames the landmarks were seen, of `sights_of`."""
+    oldest = max((int(pair.earlier.landmarks.seen.max()) for pair in pairs), default=0)
+    return Ages.of(sights.trust, int(moving.sum()), oldest)
+
+
+def usual_age(seen: FloatArray) -> float:
+    """The number of frames that a landmark must have been seen in to be trusted fully, from those of all (n,)."""
+    return float(np.quantile(seen, 0.75)) if len(seen) else 1.0
+
+
+def with_trust(sights: Sights, moving: BoolArray, usual: float, of_still: float) -> Sights:
+    """The sights of `sights_of` with their trust.
+
+    What has moved along for long deserves more of it than what has just come into view (a hand, say).
+
+    Args:
+        usual: age at which a landmark is trusted fully.
+        of_still: what a landmark has of it that stands still and was never seen to move.
+    """
+    return replace(sights, trust=np.minimum(sights.trust / usual, 1.0) ** 2 * np.where(moving, 1.0, of_still))
+
+
+def cut(weights: FloatArray, residuals: FloatArray, pairs: Sequence[Pair]) -> list[tuple[FloatArray, FloatArray]]:
+    """Weights and residuals (n,) of a camera's sights, cut into the pairs that they were put together from."""
+    cuts = np.cumsum([len(pair) for pair in pairs])[:-1]
+    return list(zip(np.split(weights, cuts), np.split(residuals, cuts), strict=True)) if len(pairs) else []
+
+
+def chance_of(
+    sights: Sights,
+    weights: FloatArray,
+    residuals: FloatArray,
+    rotation: FloatArray,
+    shift: FloatArray,
+    current: CameraFrame,
+) -> Chance:
+    """How many of a camera's features agree with a pose, and how many random matches would.
+
+    A random match agrees when it falls into the ellipse around its landmark's image in which it counts as an inlier: that
+    happens with the ellipse's share of the region that the camera's features fill. What is not trusted is no evidence.
+    """
+    matches = int((weights > 0).sum())
+    if not len(sights.image):
+        return Chance(matches, 0, 0, 0.0, 0)
+    good = (weights > 0) & (sights.trust > TRUSTED)
+    sigma = np.sqrt(np.mean(residuals[good] ** 2)) / sights.focal if good.any() else 1.0 / sights.focal
+    along = smear(sights, rotation, shift)
+    region = float(np.prod(np.ptp(current.features.normalized, axis=0)))
+    share = np.minimum(np.pi * CUTOFF**2 * sigma * np.hypot(sigma, along) / max(region, 1e-12), 1.0)
+    # A feature that is matched with several landmarks is tried once.
+    by_chance = float(np.bincount(sights.feature, share).sum() / max(np.bincount(sights.feature).max(), 1))
+    return Chance(matches, len(np.unique(sights.feature[good])), len(np.unique(sights.feature)), by_chance, 3)
+
+
+def smear(sights: Sights, rotation: FloatArray, shift: FloatArray) -> FloatArray:
+    """(n,) by how much one standard deviation of a landmark's depth moves its image, normalised units."""
+    ends = [(sights.points + k * sights.depth_error) @ rotation.T + shift - sights.center for k in (0, 1)]
+    near, far = (p @ sights.rotation.T for p in ends)
+    return np.asarray(np.linalg.norm(near[:, :2] / near[:, 2:] - far[:, :2] / far[:, 2:], axis=1))

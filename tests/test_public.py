@@ -1,0 +1,96 @@
+"""What `import sylpose` offers is whole: whatever its functions take, return or raise can be imported from there too."""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import inspect
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
+
+import pytest
+
+import sylpose
+
+
+def types_in(hint: Any) -> Iterator[type]:
+    """The classes of an annotation, those of its parts included."""
+    if isinstance(hint, type):
+        yield hint
+    if isinstance(hint, (list, tuple)):
+        parts: tuple[Any, ...] = tuple(hint)
+    else:
+        parts = (get_origin(hint), *get_args(hint))
+    for part in parts:
+        if part is not None and part is not hint:
+            yield from types_in(part)
+
+
+def functions_of(name: str) -> Iterator[Any]:
+    """What is exported under a name: a function; or a class, its public methods and properties."""
+    thing = getattr(sylpose, name)
+    yield thing
+    if isinstance(thing, type):
+        for member, value in inspect.getmembers_static(thing):
+            if not member.startswith("_"):
+                value = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+                if inspect.isfunction(value):
+                    yield value
+
+
+def hints_of(function: Any) -> dict[str, Any]:
+    """The annotations of the public parameters, attributes and the result."""
+    return {name: hint for name, hint in get_type_hints(function).items() if not name.startswith("_")}
+
+
+def raised_by(function: Any) -> set[str]:
+    """The names of classes under "Raises:" in a docstring."""
+    section = re.search(r"^Raises:\n((?:    .*\n?|\n)*)", inspect.getdoc(function) or "", re.MULTILINE)
+    return set(re.findall(r"^    (\w+):", section[1], re.MULTILINE)) if section else set()
+
+
+def of_type_checkers() -> dict[str, set[str]]:
+    """Module -> the names that `sylpose/__init__.py` imports from it for type checkers only."""
+    tree = ast.parse(Path(str(sylpose.__file__)).read_text(encoding="utf-8"))
+    guarded = next(node for node in tree.body if isinstance(node, ast.If))
+    imports = [node for node in guarded.body if isinstance(node, ast.ImportFrom)]
+    assert len(imports) == len(guarded.body)
+    return {str(node.module): {alias.name for alias in node.names} for node in imports}
+
+
+def test_all_three_lists_of_public_names_agree() -> None:
+    homes = {module: set(names) for module, names in sylpose._HOMES.items()}
+    assert of_type_checkers() == homes
+    assert sorted(name for names in homes.values() for name in names) == list(sylpose.__all__)
+    assert len(set(sylpose.__all__)) == len(sylpose.__all__)
+
+
+def test_names_come_from_modules_that_offer_them() -> None:
+    for module, names in sylpose._HOMES.items():
+        offered = __import__(module, fromlist=["__all__"]).__all__
+        assert set(names) <= set(offered), module
+
+
+@pytest.mark.parametrize("name", sylpose.__all__)
+def test_public_types_are_all_that_public_functions_take_and_return(name: str) -> None:
+    for function in functions_of(name):
+        for what, hint in hints_of(function).items():
+            ours = {t.__name__ for t in types_in(hint) if t.__module__.split(".")[0] == "sylpose"}
+            assert ours <= set(sylpose.__all__), f"{function}: {what}"
+
+
+@pytest.mark.parametrize("name", sylpose.__all__)
+def test_public_errors_are_all_that_public_functions_raise(name: str) -> None:
+    for function in functions_of(name):
+        known = {*sylpose.__all__, *dir(builtins)}
+        assert raised_by(function) <= known, function
+
+
+def test_the_walk_sees_what_it_is_meant_to_see() -> None:
+    """Nested annotations, and errors with text over several lines."""
+    assert {t.__name__ for t in types_in(dict[str, tuple[sylpose.Box | None, ...]])} >= {"dict", "tuple", "Box"}
+    assert raised_by(sylpose.solve_sylvester) == {"SingularSylvesterError", "ValueError"}
+    assert hints_of(sylpose.solve_refine)["return"] is sylpose.Agreement
+    assert {t.__name__ for t in types_in(hints_of(sylpose.TrackedFrame)["sightings"])} >= {"Sightings"}
