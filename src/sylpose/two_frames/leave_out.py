@@ -4,8 +4,8 @@ Under weak perspective the inliers of one camera lie near a hyperplane of (x, y)
 much worse the common motion fits them than their own hyperplane does (`_strain`) therefore tells, at any level of noise,
 that a camera disagrees with the rest. It pulls the motion towards itself, so that others look wrong as well; where one is
 strained the fit is made again without each of the most strained, and the one whose absence leaves the others at ease is the
-one. What of its matches agrees with the others' motion is heard again if that is more than chance and a bad calibration
-leave: then only some of its matches are of something else.
+one. What of its matches agrees with the others' motion as noise allows is heard again, if that is not little: then only some
+of its matches are of something else.
 
 Source: the leave-one-out test is Chow's (Econometrica 28, 1960); its use here is ours (docs/method.md).
 """
@@ -23,6 +23,7 @@ from sylpose.matches import STILL_PX
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
+from sylpose.numerics.epipolar import essential, sampson
 from sylpose.numerics.robust import BISQUARE_BOUND
 from sylpose.paper.bad_cameras import suspect_cameras
 from sylpose.two_frames.fit import Fit
@@ -58,7 +59,7 @@ NOISIER = 3.5
 # What a match that is an inlier no more costs, in squares of its noise: the bound of the bisquare's loss (derived).
 LOST = CUTOFF**2 * BISQUARE_BOUND
 # Matches within the first distance of their epipolar lines, in standard deviations, are more than those between it and the
-# second where they are there for a reason; less than such a share of a camera's matches is none.
+# second where only noise put them there; less than such a share of a camera's matches is nothing.
 NEAR, FAR, SHARE = 1.5, 4.5, 0.3
 # A camera of whose matches no more than this share are inliers was rejected as a whole.
 REJECTED = 0.2
@@ -226,7 +227,8 @@ def _sums(
 
 
 def _agreeing(term: TermData, solved: Solved) -> BoolArray:
-    """(n,) matches near their epipolar lines of a motion that was found without them; none where chance may explain it."""
+    """(n,) matches near their epipolar lines of a motion that was found without them; none where they are not as near as
+    noise puts them: a bad calibration scatters them evenly."""
     inliers = [(w[w > 0], r[w > 0]) for w, r in zip(solved.fit.weights, solved.fit.residuals, strict=True)]
     mass = max(sum(float(w.sum()) for w, _ in inliers), 1e-300)
     sigma = max(float(np.sqrt(sum(float(w @ r**2) for w, r in inliers) / mass)), SIGMA_FLOOR_PX)
@@ -251,11 +253,9 @@ def _across(term: TermData, solved: Solved) -> FloatArray:
     """(n,) Sampson's distance from the epipolar lines, signed, pixels; 0 where there are none."""
     fit, center = solved.fit, solved.center
     tau = term.rotation @ (fit.rotation @ (term.center_x - center) - (term.center - center) + fit.shift)
-    essential = np.cross(np.eye(3), tau) @ term.rotation @ fit.rotation @ term.rotation_x.T
+    E = essential(term.rotation @ fit.rotation @ term.rotation_x.T, tau)
     x, y = (np.column_stack([points, np.ones(len(term))]) for points in (term.x, term.y))
-    of_y, of_x = x @ essential.T, y @ essential
-    size = np.sqrt((of_y[:, :2] ** 2).sum(axis=1) + (of_x[:, :2] ** 2).sum(axis=1))
-    return np.asarray(term.focal * (y * of_y).sum(axis=1) / np.maximum(size, 1e-300))
+    return np.asarray(term.focal * np.einsum("ni,ni->n", y, x @ E.T) / sampson(E, x, y))
 
 
 def _sees_two(alone: Fit) -> bool:

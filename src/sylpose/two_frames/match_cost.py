@@ -1,4 +1,6 @@
-"""Where every match ought to be, in full perspective, and the normal equations of what they miss by.
+"""The last word: where every match ought to be, in full perspective, and the normal equations of what they miss by.
+
+`moments_cost`, the first look, found the way here.
 
 A feature lies on its ray x at the inverse depth ρ of its term's surface, a quadric whose six coefficients α are unknown
 beside the motion, give or take a relief ζ. With e = y - image(R x + ρ τ), its derivatives J and

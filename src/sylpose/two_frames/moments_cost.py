@@ -1,4 +1,7 @@
-"""The cost of a motion, from each camera's 45 numbers: one part plane, one part epipolar.
+"""The first look: the cost of a motion from each camera's 45 numbers, one part plane, one part epipolar.
+
+It finds the minima that `match_cost`, the last word, decides between: a step costs the same whatever the number of matches.
+Where a surface is a plane without relief, the two agree to first order in the image's size.
 
 How far along its epipolar line a feature goes depends on its depth. Of that, a plane per term is assumed, its inverse
 depth ρ = α·(1, u, v) unknown beside the motion (weak prior, from where the cameras' rays meet), and a relief about

@@ -17,7 +17,7 @@ from sylpose.two_frames.match_cost import Tolerance, matched
 from sylpose.two_frames.reweight import CUTOFF, Reweighted
 from sylpose.two_frames.terms import Stack
 
-__all__ = ["is_consistent", "judged", "observed", "rod_axis", "stands_still", "unseen"]
+__all__ = ["is_consistent", "judged", "more_than_chance", "observed", "rod_axis", "stands_still", "unseen"]
 
 
 # What no motion at all must cost more, of six unknowns, and a turn, of three: below it, there may be none (chi-squared, once
@@ -27,6 +27,8 @@ CERTAIN_MOTION, CERTAIN_TURN = chi_squared_bound(6), chi_squared_bound(3)
 ROD_SIGMAS = 2.5
 # So large a share of inliers is not had by chance.
 CERTAIN_SHARE = 0.7
+# Inliers that an answer has by choice, per unknown, and how many times what one has by chance the best of many has (choice).
+CHOSEN, LUCKY = 2, 4.0
 # Times that partners are exchanged to measure chance, at most, and with how many matches once or twice will do.
 EXCHANGES, EXCHANGED = 8, 1000
 
@@ -67,11 +69,19 @@ def unseen(fit: Fit, radius: float) -> FloatArray:
     return np.asarray(weak * scale)
 
 
+def more_than_chance(inliers: float, by_chance: float, unknowns: int) -> bool:
+    """Whether so many inliers are more than a wrong answer would have.
+
+    The best of many hypotheses finds more of them than any one has by chance, hence the factor; as many as there are
+    unknowns it can always satisfy, and as many again by choice.
+    """
+    return inliers > CHOSEN * unknowns + LUCKY * by_chance
+
+
 def is_consistent(stack: Stack, usable: BoolArray, found: Reweighted) -> bool:
     """Whether more matches agree with the fit than would by chance.
 
-    Chance is measured: with the partners exchanged among a camera's matches, those that still agree do so by chance. The
-    best of many hypotheses finds more of them, hence the factor; six it can always satisfy.
+    Chance is measured: with the partners exchanged among a camera's matches, those that still agree do so by chance.
     """
     weights = found.weights
     inliers, total = int((weights > 0).sum()), int(usable.sum())
@@ -95,7 +105,7 @@ def is_consistent(stack: Stack, usable: BoolArray, found: Reweighted) -> bool:
             agree[first:last] = matched(mixed, t, candidate, tolerance, usable, noise=False)[0].weights
         other = usable & (y != stack.y).any(axis=1)
         by_chance += float((agree[other] > 0.0).sum()) * total / max(int(other.sum()), 1) / exchanges
-    return inliers > 12 + 4.0 * by_chance
+    return more_than_chance(inliers, by_chance, 6)
 
 
 def stands_still(stack: Stack, found: Reweighted, information: FloatArray) -> bool:
