@@ -18,7 +18,7 @@ from sylpose.numerics.robust import BIQUARTIC_BOUND, biquartic, biquartic_loss, 
 __all__ = ["CUTOFF", "Noise", "Views", "fit", "information", "minimize", "score", "search", "squares_of"]
 
 
-# Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five.
+# Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five (choice).
 CUTOFF = 5.0
 # For Gaussian noise: what the mean weight and the mean weighted square lose to these weights, and what the information that
 # the weights say then lacks (derived).
@@ -26,14 +26,14 @@ _ON_NOISE = biquartic_on_noise(CUTOFF)
 LOST_WEIGHT, LOST_SQUARE, GAIN = 1.0 - _ON_NOISE.weight, 1.0 - _ON_NOISE.square, _ON_NOISE.gain
 # The median of the squared length of two Gaussian coordinates, in variances of one (derived).
 MEDIAN_SQUARE = 2.0 * np.log(2.0)
-# A cutoff that loses a good match less often than once in exp(WIDE) where the noise level is itself uncertain.
+# A cutoff that loses a good match less often than once in exp(WIDE) where the noise level is itself uncertain (choice).
 WIDE = 8.0
-# Distances from rounding alone, pixels: below it, nothing is noise.
+# Distances from rounding alone, pixels: below it, nothing is noise (choice).
 ROUNDING_PX = 1e-6
 # A camera has a noise of its own when its variance differs from the others' by so many standard deviations, and when it
-# has so many degrees of freedom.
+# has so many degrees of freedom (choice).
 OWN_NOISE, OWN_FREEDOM = 4.0, 8.0
-# Rounds of re-weighting at the median's noise level.
+# Rounds of re-weighting at the median's noise level (choice).
 MEDIAN_ROUNDS = 3
 
 

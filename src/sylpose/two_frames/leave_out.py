@@ -35,33 +35,38 @@ __all__ = ["Solved", "without_faults"]
 
 
 # A camera is asked once the log-likelihood ratio (doubled, four unknowns) of its own hyperplane exceeds this, and left out
-# where that lowers those of the others, and its own, by so much together.
+# where that lowers those of the others, and its own, by so much together (chi-squared of four unknowns: chance exceeds it
+# once in two thousand times).
 STRAINED = 20.0
-# The unknowns of a hyperplane; a camera has so many inliers at least that they tell something of it.
+# The unknowns of a hyperplane; a camera has so many inliers at least that they tell something of it (choice).
 UNKNOWNS, ENOUGH = 4, 8
-# So many cameras are left out at most.
+# So many cameras are left out at most (choice).
 MOST = 8
 # So many of the most strained cameras are left out in turn; and of all, at most, where none of these leaves the others at
-# ease.
+# ease (choice).
 TRIED, TRIED_ALL = 3, 16
-# Two variances of so many matches are taken for one where their ratio exceeds 1 by no more than this over the root.
+# Two variances of so many matches are taken for one where their ratio exceeds 1 by no more than this over the root (choice).
 SCATTER = 6.5
-# With three cameras the second likeliest must be so much worse than the one that is left out.
-CLEAR = 120.0
-# Where cameras were left out none of the others is strained by more than this, or the reason is another.
+# With three cameras the second likeliest must be so much worse than the one that is left out: six times what a camera is
+# asked for (choice).
+CLEAR = 6.0 * STRAINED
+# Where cameras were left out none of the others is strained by more than this, or the reason is another (chi-squared of four
+# unknowns: once in sixty times, since all of the others are asked).
 AT_EASE = 12.0
-# A share of a camera's own inliers between these is neither junk nor a wrong calibration: it sees two motions.
+# A share of a camera's own inliers between these is neither junk nor a wrong calibration: it sees two motions (choice).
 MIXED = (0.35, 0.6)
-# Where the others agree in less than this share of their matches, two motions are about as large: nobody is to blame.
+# Where the others agree in less than this share of their matches, two motions are about as large: nobody is to blame
+# (choice).
 MAJORITY = 0.66
-# A camera's noise is as usual while its variance exceeds that of the others by no more than so many standard deviations.
+# A camera's noise is as usual while its variance exceeds that of the others by no more than so many standard deviations
+# (choice).
 NOISIER = 3.5
 # What a match that is an inlier no more costs, in squares of its noise: the bound of the bisquare's loss (derived).
 LOST = CUTOFF**2 * BISQUARE_BOUND
 # Matches within the first distance of their epipolar lines, in standard deviations, are more than those between it and the
-# second where only noise put them there; less than such a share of a camera's matches is nothing.
+# second where only noise put them there; less than such a share of a camera's matches is nothing (choice).
 NEAR, FAR, SHARE = 1.5, 4.5, 0.3
-# A camera of whose matches no more than this share are inliers was rejected as a whole.
+# A camera of whose matches no more than this share are inliers was rejected as a whole (choice).
 REJECTED = 0.2
 
 

@@ -35,9 +35,11 @@ from sylpose.two_frames.terms import Candidate, Stack
 __all__ = ["Normal", "Sums", "along_variance", "moments_into", "term_equations", "term_misfit", "view_of"]
 
 
-# Weight of the prior relief in its estimate, as a number of matches.
+# Weight of the prior relief in its estimate, as a number of matches (choice).
 PRIOR_MATCHES = 3.0
-# Sampson's denominator, in squares of the unit of length, of an epipolar geometry that is nothing but rounding.
+# What may be noise, in standard deviations of its variance, is not taken for relief (choice).
+NOISE_SIGMAS = 2.0
+# Sampson's denominator, in squares of the unit of length, of an epipolar geometry that is nothing but rounding (choice).
 TINY = 1e-28
 
 
@@ -299,8 +301,8 @@ def along_variance(
     believed = 2.0 * variance + (stack.plane_relief[t] * stack.inverse_depth[t] * length) ** 2
     # The plane's three unknowns have taken their share of the squares.
     v = (squares + PRIOR_MATCHES * believed) / (max(count - 3.0, 0.0) + PRIOR_MATCHES)
-    # Noise alone scatters v; what may be noise, at two standard deviations, is not taken for relief.
-    noise = 2.0 * variance * (1.0 + 2.0 * np.sqrt(2.0 / (count + PRIOR_MATCHES)))
+    # Noise alone scatters v.
+    noise = 2.0 * variance * (1.0 + NOISE_SIGMAS * np.sqrt(2.0 / (count + PRIOR_MATCHES)))
     if v > noise:
         return 1.0 - 2.0 * variance / v, v
     return 0.0, 2.0 * variance

@@ -28,45 +28,45 @@ __all__ = ["CUTOFF", "SETTLED", "Reweighted", "nothing_yet", "reweight"]
 # freedom (choice); what the weighted mean square and the information of the weights then lack (derived).
 CUTOFF = 5.0
 SHRINKAGE, GAIN = bisquare_on_noise(CUTOFF).shrinkage, bisquare_on_noise(CUTOFF).gain
-# Cutoffs of the first rounds are wider by these factors: the first motion comes from contaminated matches.
+# Cutoffs of the first rounds are wider by these factors: the first motion comes from contaminated matches (choice).
 WIDER = (2.0, 1.5, 1.2)
-# Rounds at least, while the noise level still moves, and at most.
+# Rounds at least, while the noise level still moves, and at most (choice).
 MIN_ROUNDS, MAX_ROUNDS = 5, 40
-# From the second round on noise, reliefs and cameras that are set aside follow the residuals.
+# From the second round on noise, reliefs and cameras that are set aside follow the residuals (choice).
 SECOND_ROUND = 2
 # From this round on, steps are cut shorter and shorter; after the first few also where they grow, by a half and down to a
-# tenth, else they may be longer again. None turns by more than this, radians.
+# tenth, else they may be longer again. None turns by more than this, radians (choice).
 LONG_ROUNDS, FREE_ROUNDS = 12, 4
 SHORTER, SHORTEST, LONGER = 0.5, 0.1, 1.3
 LONGEST_STEP = 0.3
-# What is added to a step's diagonal, of its trace.
+# What is added to a step's diagonal, of its trace (choice).
 RIDGE = 1e-9
-# Settled when a step promises to lower the cost by less than this: a thirtieth of a standard deviation.
+# Settled when a step promises to lower the cost by less than this: a thirtieth of a standard deviation (choice).
 SETTLED = 5e-4
-# A term's σ counts as that of so many matches more that have the rig's.
+# A term's σ counts as that of so many matches more that have the rig's (choice).
 RIG_MATCHES = 10.0
 # Noise is never believed to be less, pixels, nor more than so many times the seeds': else two motions, or none, would be
-# explained by it.
+# explained by it (choice).
 SIGMA_FLOOR_PX = 0.02
 SIGMA_GROWTH = 2.0
 # Fitting α to noise makes the parallax, and so the motion, look larger than it is. Integrating α out of the likelihood
 # instead takes that back where surfaces are as curved as is believed, and too much of it where they are flatter: this share
-# of it lies between, and is hardly worse than either at its best (docs/benchmarks.md).
+# of it lies between, and is hardly worse than either at its best (measured: docs/benchmarks.md#two-frames).
 INTEGRATED = 0.5
-# What is left of the surfaces' prior where nothing is believed of them: as much as keeps them determined.
+# What is left of the surfaces' prior where nothing is believed of them: as much as keeps them determined (choice).
 OPEN_PRIOR = 1e-6
 # The slopes' prior is Cauchy's in two dimensions, Student's with one degree of freedom: 1 + 2 (derived).
 TAIL = 3.0
-# A mismatch lies anywhere in a square of so many spreads.
+# A mismatch lies anywhere in a square of so many spreads (choice).
 ANYWHERE = 4.0
-# Unknowns never take all of the squares, across the lines and along them.
+# Unknowns never take all of the squares, across the lines and along them (choice).
 LEAST_FREEDOM, LEAST_FREEDOM_ALONG = 0.15, 0.1
-# A relief's square is never believed to be less, of what it is believed to be beforehand.
+# A relief's square is never believed to be less, of what it is believed to be beforehand (choice).
 LEAST_RELIEF = 1e-3
-# Neighbours have like relief: of all a term's matches only so many are independent of each other in it.
+# Neighbours have like relief: of all a term's matches only so many are independent of each other in it (choice).
 INDEPENDENT = 6.0
 # A camera of so many matches that agrees with the others in fewer of them than this is set aside, junk alone reaches about a
-# tenth; where another agrees in many, else nobody knows who is right.
+# tenth; where another agrees in many, else nobody knows who is right (choice).
 JUDGED, CAMERA_MIN_SHARE = 6, 0.3
 MANY = 2.0 * CAMERA_MIN_SHARE
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
+from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.moments_cost import Sums, moments_into
 from sylpose.two_frames.reweight import SETTLED, Reweighted, nothing_yet, reweight
 from sylpose.two_frames.search import no_minima, search
@@ -15,17 +16,19 @@ from sylpose.two_frames.terms import Guesses, Stack, copy_into
 __all__ = ["fitted", "robust_fit"]
 
 
-# Quadruples that a term's seeds are drawn with, at most.
+# Quadruples that a term's seeds are drawn with, at most (choice).
 QUADRUPLES = 300
-# Distance from the affine epipolar constraint that perspective and noise explain.
+# Distance from the affine epipolar constraint that perspective and noise explain (choice).
 SEED_PX = 1.0
 # Where less than this share of a camera's matches are seeds, a wider band is tried, by this factor; it is believed when
-# it holds a majority, which outliers alone do not fill.
+# it holds a majority, which outliers alone do not fill (choice).
 SEED_SHARE, SEED_WIDE, SEED_MAJORITY = 0.4, 4.0, 0.65
-# Noise of the seeds, pixels: bounds of what is read off their distances from the hyperplane.
+# Fewer matches than this have no wider band (choice).
+WIDENED = 12
+# Noise of the seeds, pixels: bounds of what is read off their distances from the hyperplane (choice).
 SEED_SIGMA_PX = (0.15, 1.5)
 # Minima that may be refined, and how near their log-likelihood must come to the best one's: the moments, with their
-# denominators at the mean rays, misjudge it by some tens where the turn is large.
+# denominators at the mean rays, misjudge it by some tens where the turn is large (choice).
 KEEP = 4
 SECOND_CHANCE = 60.0
 
@@ -109,7 +112,7 @@ def _seed(stack: Stack, usable: BoolArray, picks: FloatArray, weights: FloatArra
         for k in range(count):
             kept += mine[k] > 0.0
         bound = upper
-        if count >= 12 and kept < SEED_SHARE * count:
+        if count >= WIDENED and kept < SEED_SHARE * count:
             # Outliers, or noise: a wider band tells.
             wide_rms = hyperplane_inliers(
                 x[:count], y[:count], SEED_WIDE * SEED_PX / stack.focal[t], picks, wide[:count]
@@ -124,7 +127,7 @@ def _seed(stack: Stack, usable: BoolArray, picks: FloatArray, weights: FloatArra
             weights[index[k]] = mine[k]
             kept += mine[k] > 0.0
         sigma_px[t] = 0.0
-        if kept >= 8:
+        if kept >= MIN_MATCHES:
             # The hyperplane spans both frames' coordinates, as Sampson's distance does.
             sigma_px[t] = min(max(rms * stack.focal[t], lower), bound)
             usual += sigma_px[t]

@@ -20,23 +20,24 @@ from sylpose.two_frames.terms import Candidate, Guesses, Stack, copy_into
 __all__ = ["Minima", "log_likelihood", "minimize", "no_minima", "search", "search_all", "settled"]
 
 
-# A term whose mean square exceeds the usual one by this factor, or this value, is trusted less while searching.
+# A term whose mean square exceeds the usual one by this factor, or this value, is trusted less while searching (choice).
 TRUST = 4.0
-# Iterations after which a start is looked at, and how far its log-likelihood may then be behind the best.
+# Iterations after which a start is looked at, and how far its log-likelihood may then be behind the best (choice).
 CHECKED = 3
 HOPELESS = 300.0
-# Steps of the plane part alone, at first and from a mirror image, and what the last may promise; the same of the whole cost.
+# Steps of the plane part alone, at first and from a mirror image, and what the last may promise; the same of the whole
+# cost (choice).
 PLANE_STEPS, MIRROR_STEPS, PLANE_SETTLED = 12, 3, 1.0
 STEPS, SETTLED = 20, 1e-2
 # Steps that are tried, each damped more, before a start counts as settled, and the largest, radians: as far as the
-# derivatives speak of.
+# derivatives speak of (choice).
 TRIES, LONGEST_STEP = 8, 0.5
-# Mirror images that are tried, at most, beside the turn reversed.
+# Mirror images that are tried, at most, beside the turn reversed (choice).
 MIRRORS = 4
-# Cameras whose optical axes, or opposite ones, are nearer than this cosine see the same mirror image.
+# Cameras whose optical axes, or opposite ones, are nearer than this cosine see the same mirror image (choice).
 SAME_AXIS = 0.97
 # Two minima are one where the squared distance of their rotation matrices, and that of their shifts relative to their
-# length, are less: a few thousandths of a radian, some hundredths of the shift.
+# length, are less: a few thousandths of a radian, some hundredths of the shift (choice).
 SAME_TURN, SAME_SHIFT = 2e-5, 1e-3
 
 

@@ -20,9 +20,9 @@ __all__ = ["FAR_PX", "fit_terms", "warm_up"]
 
 Hypothesis = tuple[FloatArray, FloatArray]
 
-# Where the moving matches of a camera go further than this, those that stand still are background.
+# Where the moving matches of a camera go further than this, those that stand still are background (choice).
 FAR_PX = 6.0
-# A solver whose last step was a standard deviation long (this is half its square) had not converged.
+# A solver whose last step was a standard deviation long had not converged: half its square (derived).
 CONVERGED = 0.5
 
 

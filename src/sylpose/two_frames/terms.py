@@ -38,7 +38,7 @@ __all__ = [
 
 
 # Unknowns of a term's surface: the inverse depth, in units of that of g, is α·(1, p, q, p², pq, q²) with (p, q) the place in
-# the image, from the anchor and in units of the spread.
+# the image, from the anchor and in units of the spread (derived).
 SURFACE = 6
 # The prior of the last word (`match_cost`): what is believed of the surface before anything is measured, in radii of the
 # object (`object_place`). Bodies are something between flat, at g, and a sphere about g, whose visible side bulges towards

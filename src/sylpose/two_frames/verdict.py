@@ -23,13 +23,13 @@ __all__ = ["is_consistent", "judged", "more_than_chance", "observed", "rod_axis"
 # What no motion at all must cost more, of six unknowns, and a turn, of three: below it, there may be none (chi-squared, once
 # in a thousand times).
 CERTAIN_MOTION, CERTAIN_TURN = chi_squared_bound(6), chi_squared_bound(3)
-# Points that depart from a line by no more than this, in standard deviations of their noise, lie on it.
+# Points that depart from a line by no more than this, in standard deviations of their noise, lie on it (choice).
 ROD_SIGMAS = 2.5
-# So large a share of inliers is not had by chance.
+# So large a share of inliers is not had by chance (choice).
 CERTAIN_SHARE = 0.7
 # Inliers that an answer has by choice, per unknown, and how many times what one has by chance the best of many has (choice).
 CHOSEN, LUCKY = 2, 4.0
-# Times that partners are exchanged to measure chance, at most, and with how many matches once or twice will do.
+# Times that partners are exchanged to measure chance, at most, and with how many matches once or twice will do (choice).
 EXCHANGES, EXCHANGED = 8, 1000
 
 
