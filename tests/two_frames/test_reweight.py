@@ -158,7 +158,7 @@ def test_nothing_usable_is_no_fit() -> None:
 
 
 def test_junk_alone_does_not_pass_for_noise() -> None:
-    """When nothing agrees, the noise level must not grow until everything does."""
+    """When nothing agrees, the noise level must not grow until everything does; once in ten scenes it may (a regression)."""
     rig, passed = around(4), 0
     for seed in range(10):
         _, stack, _ = scene(seed, rig, junk=rig.names)
