@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.known_model.pose_kernels import (
-    CUTOFF,
-    Noise,
     Views,
     fit,
     information,
@@ -21,6 +19,7 @@ from sylpose.known_model.pose_kernels import (
     search,
     squares_of,
 )
+from sylpose.known_model.pose_noise import CUTOFF, Noise
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.matrices import covariance_of
 from sylpose.numerics.robust import BIQUARTIC_BOUND
