@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -15,8 +14,8 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.results import Motion
 from sylpose.rig import Rig
 from sylpose.simulate import SimulatedPair, ellipsoid, ring
-from sylpose.two_frames.search import search
-from sylpose.two_frames.terms import Stack, TermData
+from sylpose.two_frames.moments_cost import Sums
+from sylpose.two_frames.terms import Candidate, Stack, TermData
 
 BODY = ellipsoid((0.15, 0.12, 0.1))
 
@@ -53,36 +52,16 @@ def variance_of(stack: Stack, sigma_px: float) -> FloatArray:
     return np.asarray((sigma_px / stack.focal) ** 2)
 
 
-class Minimum(NamedTuple):
-    """Where `search` ends: R, d, planes (T, 3), log-likelihood, iterations."""
-
-    rotation: FloatArray
-    shift: FloatArray
-    surface: FloatArray
-    likelihood: float
-    iterations: int
+def sums_of(stack: Stack, sigma_px: float) -> Sums:
+    """The sums of all matches, at one level of noise."""
+    return Sums(moments_of(stack), variance_of(stack, sigma_px))
 
 
-def search_all(
-    stack: Stack, sigma_px: float, guesses: Sequence[tuple[FloatArray, FloatArray]] = (), keep: int = 4
-) -> list[Minimum]:
-    """The likeliest minima of all matches, best first: at most as many as are kept."""
-    n = len(stack.focal)
-    rotations, shifts, surfaces = np.empty((keep, 3, 3)), np.empty((keep, 3)), np.empty((keep, n, 3))
-    likelihoods = np.empty(keep)
-    count = search(
-        stack,
-        moments_of(stack),
-        variance_of(stack, sigma_px),
-        np.array([r for r, _ in guesses]).reshape(-1, 3, 3),
-        np.array([d for _, d in guesses]).reshape(-1, 3),
-        rotations,
-        shifts,
-        surfaces,
-        likelihoods,
-    )
-    found = [Minimum(rotations[k], shifts[k], surfaces[k], float(likelihoods[k]), count) for k in range(keep)]
-    return [minimum for minimum in found if minimum.likelihood > -np.inf]
+def at(stack: Stack, t: int, rotation: FloatArray, shift: FloatArray, surface: FloatArray) -> Candidate:
+    """A motion with a surface of term t; the other terms have none."""
+    surfaces = np.full((len(stack.focal), len(surface)), np.nan)
+    surfaces[t] = surface
+    return Candidate(np.ascontiguousarray(rotation), np.asarray(shift, dtype=float), surfaces)
 
 
 def epipolar_px(term: TermData, center: FloatArray, rotation: FloatArray, shift: FloatArray) -> FloatArray:

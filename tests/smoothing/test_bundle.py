@@ -233,8 +233,9 @@ def test_outliers() -> None:
     assert (found.weights[wrong] > 0).mean() < 0.02
     assert (found.weights[~wrong] == 0).mean() < 0.12
     np.testing.assert_allclose(found.sigma_px, 0.5, rtol=0.08)
+    # Of the same noise, so nearer than two answers of their own would be; but not the same.
     e = error(clean.world_from_object, found.world_from_object)[-1]
-    assert e @ np.linalg.solve(found.covariance[-1], e) < 6.0
+    assert 0.05 < e @ np.linalg.solve(found.covariance[-1], e) < 6.0
 
 
 def test_covariance() -> None:
@@ -352,7 +353,7 @@ def test_behind_a_camera(short: tuple[RigidTransform, Observations]) -> None:
     assert not found.weights[seen.camera == 0].any()
     assert np.isfinite(found.landmarks).all()
     e = error(poses, found.world_from_object)[-1]
-    assert e @ np.linalg.solve(found.covariance[-1], e) < 17.0  # one in a hundred
+    assert 0.87 < e @ np.linalg.solve(found.covariance[-1], e) < 17.0  # one in a hundred on either side
 
 
 def test_bad_input(short: tuple[RigidTransform, Observations]) -> None:

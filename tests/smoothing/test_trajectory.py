@@ -117,7 +117,7 @@ def test_better_than_before_and_says_how_good() -> None:
     normalised = [
         x @ np.linalg.solve(p.covariance, x) for x, p in zip(e[1:], found.poses[1:], strict=True)
     ]  # 6 on average, but one draw: all frames share the first one's error
-    assert np.mean(normalised) < 17.0
+    assert 0.87 < np.mean(normalised) < 17.0  # one in a hundred on either side
     assert all(p.inliers.sum() > 200 for p in found.poses[1:])
     assert 0.2 < np.nanmedian([p.residuals for p in found.poses[1:]]) / np.sqrt(2) < 0.4
 

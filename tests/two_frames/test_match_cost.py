@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -13,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import Body, SimulatedPair, random_motion, simulate_matches
-from sylpose.two_frames.match_cost import match_equations
+from sylpose.two_frames.match_cost import Equations, Tolerance, matched
 from sylpose.two_frames.reweight import CUTOFF
-from sylpose.two_frames.terms import SURFACE, Stack, object_place, stack_terms
-from tests.scenes import BODY, around, data_of, truth
+from sylpose.two_frames.terms import SURFACE, Candidate, Stack, object_place, stack_terms
+from tests.scenes import BODY, around, at, data_of, truth
 
 
 def scene(
@@ -44,57 +43,6 @@ def image(
     return np.asarray(seen[:2] / seen[2])
 
 
-class Filled(NamedTuple):
-    """What `match_equations` fills: distance, across, along, parallax and weights (5, n); J'WJ (12, 12), lower; J'We
-    (12, 1); the stretch of the parallax (12, 1); the part of noise."""
-
-    matches: FloatArray
-    matrix: FloatArray
-    right: FloatArray
-    stretch: FloatArray
-    noise: FloatArray
-
-
-def matched(
-    stack: Stack,
-    t: int,
-    rotation: FloatArray,
-    shift: FloatArray,
-    alpha: FloatArray,
-    variance: float,
-    reliefs: tuple[float, float],
-    cutoff: float,
-    usable: BoolArray | None = None,
-    *,
-    noise: bool = True,
-) -> Filled:
-    """`match_equations` of term t."""
-    n = len(stack.x)
-    distance, across, along, parallax, weights = filled = np.full((5, n), np.nan)
-    equations = np.full((6 + SURFACE, 8 + SURFACE), np.nan)
-    of_noise = np.full((6, 6) if noise else (0, 0), np.nan)
-    match_equations(
-        stack,
-        t,
-        np.ones(n, bool) if usable is None else usable,
-        rotation,
-        shift,
-        alpha,
-        variance,
-        *reliefs,
-        cutoff,
-        distance,
-        across,
-        along,
-        parallax,
-        weights,
-        equations,
-        of_noise,
-    )
-    mine = slice(stack.offsets[t], stack.offsets[t + 1])
-    return Filled(filled[:, mine], equations[:, :12], equations[:, 12:13], equations[:, 13:], of_noise)
-
-
 def derivative(function: Callable[[FloatArray], FloatArray], size: int, step: float = 1e-6) -> FloatArray:
     """(m, size) central differences at zero."""
     return np.column_stack([(function(s) - function(-s)) / (2 * step) for s in step * np.eye(size)])
@@ -116,9 +64,10 @@ def test_equations_of_matches_equal_a_loop_over_them(seed: int) -> None:
     alpha = stack.surface_mean[t] + 0.5 * spread * rng.uniform(-1, 1, SURFACE)
     variance, relief, shared = float((3.0 / stack.focal[t]) ** 2), 0.7 * stack.relief[t], 1.3 * stack.relief[t]
     cutoff, usable = 20.0, rng.random(n) > 0.2
-    found = matched(stack, t, rotation, shift, alpha, variance, (relief, shared), cutoff, usable)
-    distance, across, along, parallax, weights = found.matches
-    matrix, right = found.matrix, found.right[:, 0]
+    there = at(stack, t, rotation, shift, alpha)
+    matches, found = matched(stack, t, there, Tolerance(variance, relief, shared, cutoff), usable)
+    distance, across, along, parallax, weights = matches
+    matrix, right = found.matrix, found.right
     expected, expected_right = np.zeros((12, 12)), np.zeros(12)
     for k, i in enumerate(range(stack.offsets[t], stack.offsets[t + 1])):
         x = stack.x[i]
@@ -171,10 +120,11 @@ def test_equations_of_matches_equal_a_loop_over_them(seed: int) -> None:
 def test_a_point_behind_the_camera_is_infinitely_far() -> None:
     _, stack, _ = scene(0, around(2))
     through = -3.0 * stack.qy[0, 2]
-    found = matched(stack, 0, np.eye(3), through, stack.surface_mean[0], 1e-6, (0.1, 0.1), CUTOFF)
-    assert np.isinf(found.matches[0]).all()
-    assert not found.matches[4].any()
-    for nothing in found[1:]:
+    there = Candidate(np.eye(3), through, stack.surface_mean)
+    matches, found = matched(stack, 0, there, Tolerance(1e-6, 0.1, 0.1, CUTOFF))
+    assert np.isinf(matches.distance).all()
+    assert not matches.weights.any()
+    for nothing in found:
         assert not nothing.any()
 
 
@@ -182,11 +132,12 @@ def test_no_motion_is_nothing_special() -> None:
     """At the identity there is no parallax: all numbers are finite, and distances are those between the frames."""
     _, stack, _ = scene(0, around(2), 0.1)
     variance, mine = float((0.5 / stack.focal[0]) ** 2), slice(stack.offsets[0], stack.offsets[1])
-    found = matched(stack, 0, np.eye(3), np.zeros(3), stack.surface_mean[0], variance, (0.1, 0.1), 1e6)
+    there = Candidate(np.eye(3), np.zeros(3), stack.surface_mean)
+    matches, found = matched(stack, 0, there, Tolerance(variance, 0.1, 0.1, 1e6))
     squares = np.sum((stack.y[mine] - stack.x[mine]) ** 2, axis=1)
-    np.testing.assert_allclose(found.matches[0], squares / (2 * variance), rtol=1e-6)
+    np.testing.assert_allclose(matches.distance, squares / (2 * variance), rtol=1e-6)
     assert np.isfinite(found.matrix[np.tril_indices(12)]).all()
-    for part in (found.right, found.stretch, found.noise):
+    for part in found[1:]:
         assert np.isfinite(part).all()
 
 
@@ -222,7 +173,8 @@ def test_the_stretch_of_the_parallax_is_its_derivative(seed: int) -> None:
     spread = 1.0 / np.sqrt(np.diag(stack.surface_information[t]))
     alpha = stack.surface_mean[t] + 0.3 * spread * rng.uniform(-1, 1, SURFACE)
     variance, shared = float((3.0 / stack.focal[t]) ** 2), 1.3 * stack.relief[t]
-    found = matched(stack, t, rotation, shift, alpha, variance, (stack.relief[t], shared), 20.0)
+    there = at(stack, t, rotation, shift, alpha)
+    matches, found = matched(stack, t, there, Tolerance(variance, stack.relief[t], shared, 20.0))
     held, free, squares = np.zeros(6), np.zeros(6), 0.0
     for k, i in enumerate(range(stack.offsets[t], stack.offsets[t + 1])):
         x = stack.x[i]
@@ -237,17 +189,16 @@ def test_the_stretch_of_the_parallax_is_its_derivative(seed: int) -> None:
             return np.array([log_parallax(stack, t, x, turned, shift + to_world @ s[3:], alpha, still)])
 
         length = np.exp(log_parallax(stack, t, x, rotation, shift, alpha))
-        noise_b = (length / found.matches[3, k]) ** 2
-        w = found.matches[4, k] / (variance * noise_b + (shared * length) ** 2) * length**2
+        noise_b = (length / matches.parallax[k]) ** 2
+        w = matches.weights[k] / (variance * noise_b + (shared * length) ** 2) * length**2
         squares += w
         held += w * derivative(partial(after, place), 6)[0]
         free += w * derivative(partial(after, None), 6)[0]
-    stretch = found.stretch[:, 0]
+    stretch = found.stretch
     units = np.array([stack.inverse_depth[t]] * 3 + [1.0] * 3)  # a turn moves the camera, as the object sees it
-    np.testing.assert_allclose(stretch[:6] * units, held * units, atol=1e-5 * np.abs(held * units).max())
-    np.testing.assert_allclose(stretch[:6] * units, free * units, atol=0.2 * np.abs(free * units).max())
-    assert stretch[6] == pytest.approx(squares, rel=1e-6)
-    assert not stretch[7:].any()
+    np.testing.assert_allclose(stretch * units, held * units, atol=1e-5 * np.abs(held * units).max())
+    np.testing.assert_allclose(stretch * units, free * units, atol=0.2 * np.abs(free * units).max())
+    assert found.squares[0] == pytest.approx(squares, rel=1e-6)
 
 
 # --- what noise puts into the equations -----------------------------------------------------------------------------------
@@ -281,9 +232,10 @@ def test_noise_is_counted_as_what_it_puts_into_the_equations(body: Body, turn: f
     alpha = stack.surface_mean[t] + np.linalg.lstsq(basis, off, rcond=1e-6)[0]
     sigma, relief = 0.5 / stack.focal[t], share * stack.relief[t]
 
-    def equations(noise: FloatArray) -> Filled:
+    def equations(noise: FloatArray) -> Equations:
         noisy = stack._replace(x=stack.x + noise[0], y=stack.y + noise[1])
-        return matched(noisy, t, rotation, shift, alpha, sigma**2, (relief, relief), 1e6)
+        there = at(stack, t, rotation, shift, alpha)
+        return matched(noisy, t, there, Tolerance(sigma**2, relief, relief, 1e6))[1]
 
     exact = equations(np.zeros((2, *stack.x.shape)))
     expected, there = full(exact.noise), full(exact.matrix)
@@ -309,12 +261,13 @@ def test_noise_is_counted_as_what_it_puts_into_the_equations(body: Body, turn: f
 def test_noise_is_counted_only_where_it_is_wanted() -> None:
     """All else is the same without."""
     pair, stack, center = scene(0, around(2))
-    variance = float((0.5 / stack.focal[0]) ** 2)
-    with_it, without = (
-        matched(stack, 0, *truth(pair, center), stack.surface_mean[0], variance, (0.1, 0.1), CUTOFF, noise=wanted)
-        for wanted in (True, False)
+    there = Candidate(*truth(pair, center), stack.surface_mean)
+    tolerance = Tolerance(float((0.5 / stack.focal[0]) ** 2), 0.1, 0.1, CUTOFF)
+    (matches, with_it), (same, without) = (
+        matched(stack, 0, there, tolerance, noise=wanted) for wanted in (True, False)
     )
-    for a, b in zip(with_it[:4], without[:4], strict=True):
+    for a, b in zip((*matches, *with_it[:4]), (*same, *without[:4]), strict=True):
         np.testing.assert_array_equal(a, b)
+    assert not without.noise.size
     np.testing.assert_allclose(with_it.noise, with_it.noise.T, rtol=1e-12)
     assert np.linalg.eigvalsh(full(with_it.noise)).min() > -1e-9 * np.trace(full(with_it.noise))

@@ -14,9 +14,17 @@ from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import SimulatedPair, arc, plane, random_motion, simulate_matches
-from sylpose.two_frames.moments_cost import PRIOR_MATCHES, along_variance, moments_into, term_equations, term_misfit
-from sylpose.two_frames.terms import Stack, TermData, stack_terms
-from tests.scenes import BODY, around, carried, data_of, epipolar_px, moments_of, truth, variance_of
+from sylpose.two_frames.moments_cost import (
+    PRIOR_MATCHES,
+    Normal,
+    Sums,
+    along_variance,
+    moments_into,
+    term_equations,
+    term_misfit,
+)
+from sylpose.two_frames.terms import Candidate, Stack, TermData, stack_terms
+from tests.scenes import BODY, around, at, carried, data_of, epipolar_px, sums_of, truth, variance_of
 
 SEEDS = st.integers(0, 2**32 - 1)
 KAPPAS = [0.0, 0.3, 1.0]
@@ -124,11 +132,18 @@ def equations(
     full: bool = True,
 ) -> tuple[FloatArray, FloatArray, float]:
     """`term_equations` at noise of SIGMA_PX: Hessian, gradient, cost."""
-    hessian, gradient = np.full((9, 9), np.nan), np.full(9, np.nan)
-    x, y = term_matches(stack, t)
-    m, variance = PairMoments.from_matches(x, y, weights).matrix, float(variance_of(stack, SIGMA_PX)[t])
-    value = term_equations(m, stack, t, variance, kappa, rotation, shift, surface, hessian, gradient, full)
-    return hessian, gradient, value
+    n = len(stack.focal)
+    normal = Normal(np.full((n, 9, 9), np.nan), np.full((n, 9), np.nan))
+    sums = sums_of_term(stack, t, weights, variance_of(stack, SIGMA_PX))
+    value = term_equations(stack, sums, t, kappa, at(stack, t, rotation, shift, surface), normal, full)
+    return normal.hessian[t], normal.gradient[t], value
+
+
+def sums_of_term(stack: Stack, t: int, weights: FloatArray, variance: FloatArray) -> Sums:
+    """Of one term, weighted; of the others nothing."""
+    moments = np.full((len(stack.focal), 9, 9), np.nan)
+    moments[t] = PairMoments.from_matches(*term_matches(stack, t), weights).matrix
+    return Sums(moments, variance)
 
 
 def cost(
@@ -218,8 +233,8 @@ def test_the_variance_along_the_line_equals_a_loop_over_matches(seed: int) -> No
             squares += w * (transfer @ line / parallax) ** 2
         believed = 2 * variance + (stack.plane_relief[t] * stack.inverse_depth[t] * parallax) ** 2
         expected = (squares + PRIOR_MATCHES * believed) / (max(weights.sum() - 3, 0) + PRIOR_MATCHES)
-        m = PairMoments.from_matches(x, y, weights).matrix
-        kappa, v = along_variance(m, stack, t, variance, rotation, shift, surface)
+        sums = sums_of_term(stack, t, weights, np.full(len(data), variance))
+        kappa, v = along_variance(stack, sums, t, at(stack, t, rotation, shift, surface))
         if kappa > 0:
             assert v == pytest.approx(expected, rel=1e-7)
         else:
@@ -235,10 +250,13 @@ def test_the_variance_along_the_line_equals_a_loop_over_matches(seed: int) -> No
 def test_epipolar_squares_equal_a_loop_over_matches(seed: int) -> None:
     data, center = data_of_scene(seed, earlier=True)
     stack, (rotation, shift) = stack_terms(data, center, RADIUS), candidate(seed)
-    for t, m in enumerate(moments_of(stack)):
+    sums = sums_of(stack, SIGMA_PX)
+    for t in range(len(data)):
         ones = np.ones(len(data[t]))
         alone = weighted_residuals(stack, t, ones, 1.0, 1.0, rotation, shift, stack.plane_mean[t])
-        assert term_misfit(m, stack, t, rotation, shift) == pytest.approx(alone @ alone, rel=1e-7)
+        assert term_misfit(stack, sums, t, Candidate(rotation, shift, stack.plane_mean)) == pytest.approx(
+            alone @ alone, rel=1e-7
+        )
 
 
 @FEW

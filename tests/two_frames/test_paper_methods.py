@@ -35,14 +35,22 @@ def test_names_are_those_of_the_command_line() -> None:
 
 @pytest.mark.parametrize("method", PAPER_METHODS)
 def test_every_estimator_is_a_method_of_two_frames(method: str) -> None:
-    rig = around(6)
-    pair = scene(rig, 1)
-    found = estimate_motion(rig, pair.matches, method=method)
-    assert found.method == method
-    assert found.faults == ()
-    assert found.motion is not None
-    bound = {"depth-plane": 0.6, "one-camera": 12.0, "unconstrained": 12.0}.get(method, 3.0)
-    assert degrees(error(pair, found)) < bound
+    """Its error is a share of the turn, where no answer would be all of it: least with a plane for the depth; of one camera,
+    which hardly sees turns out of its image, still less than no answer in most scenes."""
+    rig, turn, errors = around(6), 20.0, []
+    for seed in range(6):
+        pair = scene(rig, seed, turn)
+        found = estimate_motion(rig, pair.matches, method=method)
+        assert found.method == method
+        assert found.faults == ()
+        assert found.motion is not None
+        errors.append(degrees(error(pair, found)) / turn)
+    least, most = {"depth-plane": (0.001, 0.02), "one-camera": (0.2, 0.7), "unconstrained": (0.2, 0.7)}.get(
+        method, (0.1, 0.3)
+    )
+    assert least < np.median(errors) < most
+    # The one camera that is asked may see nothing of the turn, and then says so.
+    assert np.sort(errors)[-2] < (0.9 if most == 0.7 else 1.5 * most)
 
 
 def test_distributed_methods_are_the_centralised_one() -> None:

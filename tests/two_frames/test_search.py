@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -25,10 +27,10 @@ from sylpose.simulate import (
     ring,
     simulate_matches,
 )
-from sylpose.two_frames.moments_cost import along_variance, term_equations
-from sylpose.two_frames.search import log_likelihood, minimize
-from sylpose.two_frames.terms import Stack, object_place, stack_terms
-from tests.scenes import BODY, around, carried, data_of, moments_of, search_all, truth, turn_between, variance_of
+from sylpose.two_frames.moments_cost import Normal, Sums, along_variance, term_equations
+from sylpose.two_frames.search import log_likelihood, search_all, settled
+from sylpose.two_frames.terms import Candidate, Stack, guesses_of, object_place, stack_terms
+from tests.scenes import BODY, around, carried, data_of, sums_of, truth, turn_between
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=15)
@@ -50,26 +52,37 @@ def stacked(rig: Rig, pair: SimulatedPair) -> tuple[Stack, FloatArray]:
     return stack_terms(data, center, radius), center
 
 
-def settled(
-    stack: Stack,
-    sigma_px: float,
-    rotation: FloatArray,
-    shift: FloatArray,
-    surface: FloatArray | None = None,
-    iterations: int = 60,
-    tolerance: float = 1e-12,
-) -> tuple[FloatArray, FloatArray, FloatArray, int, float]:
-    """`minimize` from a start, which is left as it is: R, d, surfaces, iterations, last promise."""
-    r, d = rotation.copy(), np.array(shift, dtype=float)
-    alpha = (stack.plane_mean if surface is None else surface).copy()
-    count, promise = minimize(
-        stack, moments_of(stack), variance_of(stack, sigma_px), False, False, iterations, tolerance, r, d, alpha
-    )
-    return r, d, alpha, count, promise
+def start_of(stack: Stack, rotation: FloatArray, shift: FloatArray) -> Candidate:
+    """A motion, with planes as they are believed to be."""
+    return Candidate(rotation, shift, stack.plane_mean)
 
 
-def likelihood(stack: Stack, sigma_px: float, rotation: FloatArray, shift: FloatArray, surface: FloatArray) -> float:
-    return log_likelihood(stack, moments_of(stack), variance_of(stack, sigma_px), rotation, shift, surface)
+class Minimum(NamedTuple):
+    """Where `search` ends, with what it says."""
+
+    candidate: Candidate
+    likelihood: float
+    iterations: int
+
+    @property
+    def rotation(self) -> FloatArray:
+        return self.candidate.rotation
+
+    @property
+    def shift(self) -> FloatArray:
+        return self.candidate.shift
+
+
+def minima_of(
+    stack: Stack, sigma_px: float, guesses: Sequence[tuple[FloatArray, FloatArray]] = (), keep: int = 4
+) -> list[Minimum]:
+    """The likeliest minima of all matches, best first."""
+    found, likelihoods, count = search_all(stack, sums_of(stack, sigma_px), guesses_of(guesses), keep)
+    return [Minimum(candidate, float(value), count) for candidate, value in zip(found, likelihoods, strict=True)]
+
+
+def likelihood(stack: Stack, sigma_px: float, candidate: Candidate) -> float:
+    return log_likelihood(stack, sums_of(stack, sigma_px), candidate)
 
 
 # --- the right minimum ------------------------------------------------------------------------------------------------
@@ -82,8 +95,8 @@ def test_the_search_reaches_the_truth_without_noise(rig: str, body: str, turn: f
     for seed in range(4):
         pair = scene(seed, RIGS[rig], BODIES[body], turn, noise_px=0)
         stack, center = stacked(RIGS[rig], pair)
-        best = search_all(stack, 0.02)[0]
-        best_r, best_d, *_ = settled(stack, 1e-4, best.rotation, best.shift, best.surface)
+        best = minima_of(stack, 0.02)[0]
+        (best_r, best_d, _), *_ = settled(stack, sums_of(stack, 1e-4), best.candidate)
         rotation, shift = truth(pair, center)
         # Without noise only the epipolar part is left, whatever is believed of the surface.
         assert turn_between(best_r, rotation) < 1e-3, seed
@@ -99,9 +112,10 @@ def test_the_minimum_that_the_truth_leads_to_is_among_those_found(rig: Rig, body
     for seed in range(12):
         pair = scene(seed, rig, BODIES[body], turn)
         stack, center = stacked(rig, pair)
-        found = [settled(stack, 0.5, m.rotation, m.shift, m.surface) for m in search_all(stack, 0.5)]
-        far = likelihood(stack, 0.5, *settled(stack, 0.5, *truth(pair, center))[:3])
-        best = max(likelihood(stack, 0.5, *m[:3]) for m in found)
+        sums = sums_of(stack, 0.5)
+        found = [settled(stack, sums, m.candidate)[0] for m in minima_of(stack, 0.5)]
+        far = likelihood(stack, 0.5, settled(stack, sums, start_of(stack, *truth(pair, center)))[0])
+        best = max(likelihood(stack, 0.5, m) for m in found)
         if best < far - 0.5:
             missed.append((seed, round(best, 1), round(far, 1)))
     # A plane has a second solution in each camera, whose minimum may be all that is found.
@@ -112,14 +126,14 @@ def test_different_minima_come_back_the_likeliest_first() -> None:
     several = 0
     for seed in range(6):
         stack, _ = stacked(arc(2, 30), scene(seed, arc(2, 30), cloud()))
-        found = search_all(stack, 0.5)
+        found = minima_of(stack, 0.5)
         several += len(found) > 1
         values = [minimum.likelihood for minimum in found]
         assert values == sorted(values, reverse=True)
         for k, minimum in enumerate(found):
             np.testing.assert_allclose(minimum.rotation @ minimum.rotation.T, np.eye(3), atol=1e-9)
             assert np.linalg.det(minimum.rotation) == pytest.approx(1.0)
-            assert minimum.likelihood == pytest.approx(likelihood(stack, 0.5, *minimum[:3]), abs=1e-6)
+            assert minimum.likelihood == pytest.approx(likelihood(stack, 0.5, minimum.candidate), abs=1e-6)
             for other in found[:k]:
                 gap = np.linalg.norm(other.rotation - minimum.rotation)
                 assert gap > 4e-3 or np.linalg.norm(other.shift - minimum.shift) > 0.03 * np.linalg.norm(other.shift)
@@ -130,10 +144,10 @@ def test_fewer_or_more_minima_are_the_same_minima() -> None:
     """How many are kept changes nothing about the likelier ones."""
     for seed in range(6):
         stack, _ = stacked(arc(2, 30), scene(seed, arc(2, 30), cloud()))
-        many = search_all(stack, 0.5, keep=12)
+        many = minima_of(stack, 0.5, keep=12)
         assert len(many) < 12  # there are no more
         for keep in (1, 2, 4):
-            few = search_all(stack, 0.5, keep=keep)
+            few = minima_of(stack, 0.5, keep=keep)
             assert len(few) == min(keep, len(many))
             for a, b in zip(few, many, strict=False):
                 np.testing.assert_array_equal(a.rotation, b.rotation)
@@ -157,7 +171,7 @@ def test_any_input_ends(seed: int) -> None:
         for t, k in zip(data_of(rig, pair.matches), rng.integers(1, 20, 2), strict=True)
     ]
     stack = stack_terms(data, pair.center, 0.15)
-    found = search_all(stack, 0.5)[0]
+    found = minima_of(stack, 0.5)[0]
     assert found.iterations < 400
     np.testing.assert_allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-6)
     assert np.isfinite(found.shift).all()
@@ -166,36 +180,35 @@ def test_any_input_ends(seed: int) -> None:
 def test_the_number_of_iterations_is_bounded() -> None:
     pair = scene(3, around(4))
     stack, center = stacked(around(4), pair)
-    start = np.eye(3), np.zeros(3)
-    *_, count, promise = settled(stack, 0.5, *start, iterations=2)
+    sums = sums_of(stack, 0.5)
+    _, count, promise = settled(stack, sums, start_of(stack, np.eye(3), np.zeros(3)), iterations=2)
     assert count == 2
     assert promise > 1e-12
-    *_, count, promise = settled(stack, 0.5, *truth(pair, center))
+    _, count, promise = settled(stack, sums, start_of(stack, *truth(pair, center)))
     assert count < 60
     assert promise < 1e-12
 
 
-def full_equations(
-    stack: Stack, sigma_px: float, rotation: FloatArray, shift: FloatArray, surface: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def full_equations(stack: Stack, sums: Sums, candidate: Candidate) -> tuple[FloatArray, FloatArray]:
     """Gauss-Newton's Hessian and gradient in all unknowns (w, d, α of all terms), nothing eliminated."""
     n = len(stack.focal)
     hessian, gradient = np.zeros((6 + 3 * n, 6 + 3 * n)), np.zeros(6 + 3 * n)
-    for t, (m, v) in enumerate(zip(moments_of(stack), variance_of(stack, sigma_px), strict=True)):
-        h, g = np.empty((9, 9)), np.empty(9)
-        kappa, _ = along_variance(m, stack, t, v, rotation, shift, surface[t])
-        term_equations(m, stack, t, v, kappa, rotation, shift, surface[t], h, g, True)
+    normal = Normal(np.empty((n, 9, 9)), np.empty((n, 9)))
+    for t in range(n):
+        kappa, _ = along_variance(stack, sums, t, candidate)
+        term_equations(stack, sums, t, kappa, candidate, normal, True)
         mine = np.r_[:6, 6 + 3 * t : 9 + 3 * t]
-        hessian[np.ix_(mine, mine)] += h
-        gradient[mine] += g
+        hessian[np.ix_(mine, mine)] += normal.hessian[t]
+        gradient[mine] += normal.gradient[t]
     return hessian, gradient
 
 
 def test_the_gradient_vanishes_at_the_minimum() -> None:
     pair = scene(4, around(4))
     stack, center = stacked(around(4), pair)
-    rotation, shift, surface, *_ = settled(stack, 0.5, *truth(pair, center))
-    hessian, gradient = full_equations(stack, 0.5, rotation, shift, surface)
+    sums = sums_of(stack, 0.5)
+    candidate, *_ = settled(stack, sums, start_of(stack, *truth(pair, center)))
+    hessian, gradient = full_equations(stack, sums, candidate)
     assert gradient @ np.linalg.solve(hessian, gradient) < 1e-8
 
 
@@ -210,8 +223,8 @@ def test_the_world_frame_changes_nothing(seed: int) -> None:
     data = data_of(rig, pair.matches)
     change = RigidTransform.from_components(5 * rng.standard_normal(3), Rotation.random(rng=rng))
     turn = change.rotation.as_matrix()
-    here = search_all(stack_terms(data, pair.center, 0.15), 0.5)[0]
-    there = search_all(stack_terms(carried(data, change), np.asarray(change.apply(pair.center)), 0.15), 0.5)[0]
+    here = minima_of(stack_terms(data, pair.center, 0.15), 0.5)[0]
+    there = minima_of(stack_terms(carried(data, change), np.asarray(change.apply(pair.center)), 0.15), 0.5)[0]
     assert turn_between(turn.T @ there.rotation @ turn, here.rotation) < 0.01
     np.testing.assert_allclose(turn.T @ there.shift, here.shift, atol=1e-4)
     assert there.likelihood == pytest.approx(here.likelihood, abs=0.1)
@@ -224,8 +237,8 @@ def test_the_unit_of_length_changes_nothing(seed: int, scale: float) -> None:
     pair = scene(seed, rig)
     data = data_of(rig, pair.matches)
     scaled = [replace(t, center=scale * t.center) for t in data]
-    here = search_all(stack_terms(data, pair.center, 0.15), 0.5)[0]
-    there = search_all(stack_terms(scaled, scale * pair.center, scale * 0.15), 0.5)[0]
+    here = minima_of(stack_terms(data, pair.center, 0.15), 0.5)[0]
+    there = minima_of(stack_terms(scaled, scale * pair.center, scale * 0.15), 0.5)[0]
     assert turn_between(there.rotation, here.rotation) < 1e-4
     np.testing.assert_allclose(there.shift / scale, here.shift, atol=1e-6)
 
@@ -236,8 +249,8 @@ def test_the_order_of_terms_changes_nothing(seed: int) -> None:
     rng, rig = np.random.default_rng(seed), around(4)
     pair = scene(seed, rig)
     data = data_of(rig, pair.matches)
-    here = search_all(stack_terms(data, pair.center, 0.15), 0.5)[0]
-    there = search_all(stack_terms([data[k] for k in rng.permutation(4)], pair.center, 0.15), 0.5)[0]
+    here = minima_of(stack_terms(data, pair.center, 0.15), 0.5)[0]
+    there = minima_of(stack_terms([data[k] for k in rng.permutation(4)], pair.center, 0.15), 0.5)[0]
     assert turn_between(there.rotation, here.rotation) < 0.01
     np.testing.assert_allclose(there.shift, here.shift, atol=1e-4)
 
@@ -247,5 +260,5 @@ def test_a_guess_is_tried() -> None:
     rig = arc(2, 30)
     pair = scene(2, rig, cloud(), 20.0)
     stack, center = stacked(rig, pair)
-    with_it, without = (search_all(stack, 0.5, guesses)[0] for guesses in ([truth(pair, center)], []))
+    with_it, without = (minima_of(stack, 0.5, guesses)[0] for guesses in ([truth(pair, center)], []))
     assert with_it.likelihood >= without.likelihood - 1e-3

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.known_model.pose_kernels import (
-    CUTOFF,
-    Noise,
     Views,
     fit,
     information,
@@ -21,6 +19,7 @@ from sylpose.known_model.pose_kernels import (
     search,
     squares_of,
 )
+from sylpose.known_model.pose_noise import CUTOFF, Noise
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.matrices import covariance_of
 from sylpose.numerics.robust import BIQUARTIC_BOUND
@@ -31,19 +30,21 @@ from sylpose.rig import Camera, Rig
 __all__ = ["estimate_pose"]
 
 
-# Three matches have several exact poses; the fourth decides.
+# Three matches have several exact poses; the fourth decides (derived).
 MIN_MATCHES = 4
-# Samples: at least, at most, and the chance that none of them was free of outliers.
+# Samples: at least, at most, and the chance that none of them was free of outliers (choice).
 MIN_SAMPLES, MAX_SAMPLES, MISSED = 20, 3000, 1e-4
-# Poses are searched with at most so many matches, evenly from the cameras.
+# Poses are searched with at most so many matches, evenly from the cameras (choice).
 SEARCHED = 500
-# Poses that are followed, the steps that improve each, and the rounds of re-weighting.
+# Poses that are followed, the steps that improve each, and the rounds of re-weighting (choice).
 KEPT, SEARCH_STEPS, ROUNDS = 6, 5, 50
-# Poses that differ by less than this angle are one.
+# A start that scores worse than the best by this factor and this many matches is not followed (choice).
+WORSE, WORSE_BY = 2.0, 3.0
+# Poses that differ by less than this angle are one (choice).
 SAME_TURN = 0.05
-# A pose counts as chance when random matches would show one as good more often than this.
+# A pose counts as chance when random matches would show one as good more often than this (choice).
 BY_CHANCE = 0.01
-# Of two poses that explain the matches nearly equally well, the better is believed from these odds on.
+# Of two poses that explain the matches nearly equally well, the better is believed from these odds on (choice).
 CLEAR_ODDS = 3.0
 
 
@@ -212,7 +213,7 @@ def _best_poses(views: Views, top: float, thin: FloatArray, rng: np.random.Gener
     minimize(few, *mirrored, _largest_noise(views, top), 10, 1e-3)
     poses: list[_Pose] = []
     for rotation, place in [*starts, mirrored]:
-        if score(few, rotation, place, top, np.inf) > 2.0 * scores[0] + 3.0 or _known(poses, rotation):
+        if score(few, rotation, place, top, np.inf) > WORSE * scores[0] + WORSE_BY or _known(poses, rotation):
             continue
         pose = _fitted(few, rotation, place, top)
         if pose is not None and not _known(poses, pose.rotation):

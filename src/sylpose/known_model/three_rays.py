@@ -10,9 +10,12 @@ from sylpose.numerics.compiled import kernel
 __all__ = ["three_rays"]
 
 
-# Intervals on which the minimal solver looks for a change of sign.
-INTERVALS = 16
-ROOT_STEPS = 12
+# Intervals on which the minimal solver looks for a change of sign, and steps to the root (choice).
+INTERVALS, ROOT_STEPS = 16, 12
+# Three points lie on a line where the square of their triangle's area is less than this share of its sides' (choice).
+ON_LINE = 1e-6
+# A root's error, as a share of the third side's square (choice).
+ROOT_ERROR = 1e-10
 
 
 @kernel
@@ -92,7 +95,7 @@ def three_rays(
     side2, side3 = _between(model[0], model[1]), _between(model[0], model[2])
     square2, square3, across = _dot(side2, side2), _dot(side3, side3), _dot(side2, side3)
     # Three points on a line leave the turn about it open.
-    if not square2 * square3 - across * across > 1e-6 * square2 * square3:
+    if not square2 * square3 - across * across > ON_LINE * square2 * square3:
         return 0
     # Per side: squared distance of the first point from the other ray a l^2 + 2 b l + c, its foot there e + f l, side^2.
     g = np.empty((3, 6))
@@ -121,7 +124,7 @@ def three_rays(
         for j in range(2):
             grid[k, 1 + 2 * j], grid[k, 2 + 2 * j] = _meeting(g[j], l, -1.0), _meeting(g[j], l, 1.0)
     lengths, points, axes = np.empty(3), np.empty((3, 3)), np.empty((2, 3, 3))
-    tolerance = 1e-10 * g[2, 4]
+    tolerance = ROOT_ERROR * g[2, 4]
     found = 0
     for branch in range(4):
         at2, at3 = 1 + branch // 2, 3 + branch % 2

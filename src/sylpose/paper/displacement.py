@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.epipolar import essential, sampson
 from sylpose.numerics.matrices import checked_rotations
 from sylpose.paper.orthographic import quadratic_of, views_of
 
@@ -109,11 +110,8 @@ def translation_from_moments(
 
     def residuals(d: FloatArray, turned: FloatArray) -> FloatArray:
         t = g + d - turned @ g + o @ turned.T - o
-        E = np.cross(np.eye(3), np.einsum("cij,cj->ci", Q, t)[:, None, :]) @ (Q @ turned @ np.swapaxes(Q, 1, 2))
-        lines = np.einsum("cij,cj->ci", E, x)[:, :2], np.einsum("cji,cj->ci", E, y)[:, :2]
-        sampson = sum((line**2).sum(axis=1) for line in lines)
-        # Without any motion both vanish.
-        distances = np.einsum("cki,ck->ci", roots, E.reshape(-1, 9)) / np.sqrt(np.maximum(sampson, 1e-24))[:, None]
+        E = essential(Q @ turned @ np.swapaxes(Q, 1, 2), np.einsum("cij,cj->ci", Q, t))
+        distances = np.einsum("cki,ck->ci", roots, E.reshape(-1, 9)) / sampson(E, x, y)[:, None]
         return np.asarray(distances.ravel())
 
     # Any length will do for the steps: that of the cameras' distances makes them of the size of angles.

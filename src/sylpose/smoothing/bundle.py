@@ -27,16 +27,19 @@ from sylpose.smoothing.problem import Problem, State
 __all__ = ["Bundled", "Observations", "bundle"]
 
 
-# The noise level follows the residuals until it changes by less than this, or for so many rounds; then it is held.
+# The noise level follows the residuals until it changes by less than this, or for so many rounds; then it is held (choice).
 SIGMA_SETTLED, SIGMA_ROUNDS = 0.05, 8
-# Weights follow the residuals until the step's square, in standard deviations and per frame, is less than this, or for so
-# many rounds; then they are held: each that is still about to change draws the rest on a little, in ever more rounds.
+# Weights follow the residuals until the step's square, in standard deviations and per frame, is less than this, or for
+# so many rounds; then they are held: each that is still about to change draws the rest on a little, in ever more rounds
+# (choice).
 WEIGHTS_SETTLED, WEIGHTS_ROUNDS = 0.02, 10
-# Converged when the step, all frames together, is a tenth of a standard deviation: what is left after it is much less.
+# Converged when the step, all frames together, is a tenth of a standard deviation: what is left after it is much less
+# (choice).
 SETTLED = 0.1**2
-# Attempts per round to find a step that lowers the cost.
+# Attempts per round to find a step that lowers the cost (choice).
 MAX_TRIES = 8
-# Every pose is known to half a turn and to some of the object's radii around its start: what nothing ties stays there.
+# Every pose is known to half a turn and to some of the object's radii around its start: what nothing ties stays there
+# (choice).
 WEAK_TURN, WEAK_RADII = np.pi, 10.0
 
 

@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 
-# What is behind a camera is this far from where it is seen, pixels: an outlier at any noise.
+# What is behind a camera is this far from where it is seen, pixels: an outlier at any noise (choice).
 BEHIND_PX = 1e6
 
 

@@ -26,18 +26,19 @@ from sylpose.smoothing.system import System
 __all__ = ["Problem", "State", "Summary"]
 
 
-# Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five.
+# Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five (choice).
 CUTOFF = 5.0
 # What the weighted mean square of Gaussian noise then lacks (derived).
 SHRINKAGE = biquartic_on_noise(CUTOFF).shrinkage
+# Noise is never believed to be less, pixels (choice).
 SIGMA_FLOOR_PX = 0.1
-# Degrees of freedom from which a camera's own noise level counts as much as that of all cameras together.
+# Degrees of freedom from which a camera's own noise level counts as much as that of all cameras together (choice).
 OWN_FREEDOM = 20.0
 # Landmarks are about the origin give or take so many of the object's radii. While the state is refined this keeps those
 # with little parallax in place; for the covariance it is nearly left out: linearised, a sphere's prior of many landmarks
-# seems to know which way the object is turned.
+# seems to know which way the object is turned (choice).
 PRIOR_RADII, PRIOR_RADII_COVARIANCE = 3.0, 300.0
-# A median is taken of about so many observations.
+# A median is taken of about so many observations (choice).
 MEDIAN_OF = 2000
 
 

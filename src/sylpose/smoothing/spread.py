@@ -22,9 +22,9 @@ from sylpose.smoothing.system import Factor, System
 __all__ = ["excess_variance"]
 
 
-# Frames that a frame's figure is the median of.
+# Frames that a frame's figure is the median of (choice).
 AMONG = 11
-# Fewer degrees of freedom per frame than this among the groups say nothing.
+# Fewer degrees of freedom per frame than this among the groups say nothing (choice).
 LEAST_FREEDOM = 1.0
 
 

@@ -16,9 +16,9 @@ from sylpose.smoothing.kernels import Reduced, place_of
 __all__ = ["Factor", "System", "diagonal_of_inverse"]
 
 
-# Systems of at most so many frames, or so full, are solved as dense ones.
+# Systems of at most so many frames, or so full, are solved as dense ones (choice).
 DENSE_FRAMES, DENSE_SHARE = 100, 0.25
-# The least that the diagonal is enlarged by, against rounding.
+# The least that the diagonal is enlarged by, against rounding (choice).
 RIDGE = 1e-12
 
 

@@ -23,10 +23,11 @@ from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
 __all__ = ["Smoothed", "Track", "smooth"]
 
 
-# Landmarks seen less often than this tell next to nothing of the motion, and that with a bias: features that slide along
-# an edge or were confused are lost soon. They are used, the longer ones first, by frames with less than so many sights.
+# Landmarks seen less often than this tell next to nothing of the motion, and that with a bias: features that slide
+# along an edge or were confused are lost soon. They are used, the longer ones first, by frames with less than so many
+# sights (choice).
 OFTEN, ENOUGH = (8, 5, 2), 100
-# Measured poses on each side of a gap that the curve through it goes by.
+# Measured poses on each side of a gap that the curve through it goes by (choice).
 AROUND = 3
 
 

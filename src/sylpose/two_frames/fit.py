@@ -13,7 +13,7 @@ from sylpose.two_frames.terms import TermData
 
 __all__ = ["MIN_MATCHES", "Fit", "no_fit"]
 
-# Eight matches in all cameras together leave two more equations than unknowns; fewer say nothing about themselves.
+# Eight matches in all cameras together leave two more equations than unknowns; fewer say nothing about themselves (choice).
 MIN_MATCHES = 8
 
 

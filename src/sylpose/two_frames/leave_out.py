@@ -4,8 +4,8 @@ Under weak perspective the inliers of one camera lie near a hyperplane of (x, y)
 much worse the common motion fits them than their own hyperplane does (`_strain`) therefore tells, at any level of noise,
 that a camera disagrees with the rest. It pulls the motion towards itself, so that others look wrong as well; where one is
 strained the fit is made again without each of the most strained, and the one whose absence leaves the others at ease is the
-one. What of its matches agrees with the others' motion is heard again if that is more than chance and a bad calibration
-leave: then only some of its matches are of something else.
+one. What of its matches agrees with the others' motion as noise allows is heard again, if that is not little: then only some
+of its matches are of something else.
 
 Source: the leave-one-out test is Chow's (Econometrica 28, 1960); its use here is ours (docs/method.md).
 """
@@ -23,6 +23,7 @@ from sylpose.matches import STILL_PX
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
+from sylpose.numerics.epipolar import essential, sampson
 from sylpose.numerics.robust import BISQUARE_BOUND
 from sylpose.paper.bad_cameras import suspect_cameras
 from sylpose.two_frames.fit import Fit
@@ -34,33 +35,38 @@ __all__ = ["Solved", "without_faults"]
 
 
 # A camera is asked once the log-likelihood ratio (doubled, four unknowns) of its own hyperplane exceeds this, and left out
-# where that lowers those of the others, and its own, by so much together.
+# where that lowers those of the others, and its own, by so much together (chi-squared of four unknowns: chance exceeds it
+# once in two thousand times).
 STRAINED = 20.0
-# The unknowns of a hyperplane; a camera has so many inliers at least that they tell something of it.
+# The unknowns of a hyperplane; a camera has so many inliers at least that they tell something of it (choice).
 UNKNOWNS, ENOUGH = 4, 8
-# So many cameras are left out at most.
+# So many cameras are left out at most (choice).
 MOST = 8
 # So many of the most strained cameras are left out in turn; and of all, at most, where none of these leaves the others at
-# ease.
+# ease (choice).
 TRIED, TRIED_ALL = 3, 16
-# Two variances of so many matches are taken for one where their ratio exceeds 1 by no more than this over the root.
+# Two variances of so many matches are taken for one where their ratio exceeds 1 by no more than this over the root (choice).
 SCATTER = 6.5
-# With three cameras the second likeliest must be so much worse than the one that is left out.
-CLEAR = 120.0
-# Where cameras were left out none of the others is strained by more than this, or the reason is another.
+# With three cameras the second likeliest must be so much worse than the one that is left out: six times what a camera is
+# asked for (choice).
+CLEAR = 6.0 * STRAINED
+# Where cameras were left out none of the others is strained by more than this, or the reason is another (chi-squared of four
+# unknowns: once in sixty times, since all of the others are asked).
 AT_EASE = 12.0
-# A share of a camera's own inliers between these is neither junk nor a wrong calibration: it sees two motions.
+# A share of a camera's own inliers between these is neither junk nor a wrong calibration: it sees two motions (choice).
 MIXED = (0.35, 0.6)
-# Where the others agree in less than this share of their matches, two motions are about as large: nobody is to blame.
+# Where the others agree in less than this share of their matches, two motions are about as large: nobody is to blame
+# (choice).
 MAJORITY = 0.66
-# A camera's noise is as usual while its variance exceeds that of the others by no more than so many standard deviations.
+# A camera's noise is as usual while its variance exceeds that of the others by no more than so many standard deviations
+# (choice).
 NOISIER = 3.5
 # What a match that is an inlier no more costs, in squares of its noise: the bound of the bisquare's loss (derived).
 LOST = CUTOFF**2 * BISQUARE_BOUND
 # Matches within the first distance of their epipolar lines, in standard deviations, are more than those between it and the
-# second where they are there for a reason; less than such a share of a camera's matches is none.
+# second where only noise put them there; less than such a share of a camera's matches is nothing (choice).
 NEAR, FAR, SHARE = 1.5, 4.5, 0.3
-# A camera of whose matches no more than this share are inliers was rejected as a whole.
+# A camera of whose matches no more than this share are inliers was rejected as a whole (choice).
 REJECTED = 0.2
 
 
@@ -226,7 +232,8 @@ def _sums(
 
 
 def _agreeing(term: TermData, solved: Solved) -> BoolArray:
-    """(n,) matches near their epipolar lines of a motion that was found without them; none where chance may explain it."""
+    """(n,) matches near their epipolar lines of a motion that was found without them; none where they are not as near as
+    noise puts them: a bad calibration scatters them evenly."""
     inliers = [(w[w > 0], r[w > 0]) for w, r in zip(solved.fit.weights, solved.fit.residuals, strict=True)]
     mass = max(sum(float(w.sum()) for w, _ in inliers), 1e-300)
     sigma = max(float(np.sqrt(sum(float(w @ r**2) for w, r in inliers) / mass)), SIGMA_FLOOR_PX)
@@ -251,11 +258,9 @@ def _across(term: TermData, solved: Solved) -> FloatArray:
     """(n,) Sampson's distance from the epipolar lines, signed, pixels; 0 where there are none."""
     fit, center = solved.fit, solved.center
     tau = term.rotation @ (fit.rotation @ (term.center_x - center) - (term.center - center) + fit.shift)
-    essential = np.cross(np.eye(3), tau) @ term.rotation @ fit.rotation @ term.rotation_x.T
+    E = essential(term.rotation @ fit.rotation @ term.rotation_x.T, tau)
     x, y = (np.column_stack([points, np.ones(len(term))]) for points in (term.x, term.y))
-    of_y, of_x = x @ essential.T, y @ essential
-    size = np.sqrt((of_y[:, :2] ** 2).sum(axis=1) + (of_x[:, :2] ** 2).sum(axis=1))
-    return np.asarray(term.focal * (y * of_y).sum(axis=1) / np.maximum(size, 1e-300))
+    return np.asarray(term.focal * np.einsum("ni,ni->n", y, x @ E.T) / sampson(E, x, y))
 
 
 def _sees_two(alone: Fit) -> bool:

@@ -1,4 +1,6 @@
-"""Where every match ought to be, in full perspective, and the normal equations of what they miss by.
+"""The last word: where every match ought to be, in full perspective, and the normal equations of what they miss by.
+
+`moments_cost`, the first look, found the way here.
 
 A feature lies on its ray x at the inverse depth ρ of its term's surface, a quadric whose six coefficients α are unknown
 beside the motion, give or take a relief ζ. With e = y - image(R x + ρ τ), its derivatives J and
@@ -15,6 +17,8 @@ the rest is ours (docs/method.md).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
@@ -22,9 +26,96 @@ from sylpose.numerics.compiled import kernel
 from sylpose.numerics.normal_equations import image_row
 from sylpose.numerics.robust import bisquare
 from sylpose.two_frames.moments_cost import view_of
-from sylpose.two_frames.terms import SURFACE, Stack
+from sylpose.two_frames.terms import SURFACE, Candidate, Stack
 
-__all__ = ["match_equations"]
+__all__ = ["Equations", "Matched", "Tolerance", "match_equations", "matched", "no_equations", "no_matched"]
+
+
+class Tolerance(NamedTuple):
+    """How far off a match may be.
+
+    Attributes:
+        variance: σ², normalised units.
+        relief: ζ, in units of the inverse depth of g.
+        shared_relief: what is left of it in the mean of many matches, times the root of their number: the equations have it.
+        cutoff: of d.
+    """
+
+    variance: float
+    relief: float
+    shared_relief: float
+    cutoff: float
+
+
+class Matched(NamedTuple):
+    """How far each of N matches is from where the motion and its term's surface put it.
+
+    Attributes:
+        distance: (N,) d²; infinite for a point that the motion takes behind its camera.
+        across: (N,) distance across the epipolar line over √(n'(I + Jx Jx')n): Sampson's distance, signed, with σ as its
+            standard deviation.
+        along: (N,) distance along it, likewise normalised by √(b'(I + Jx Jx')b).
+        parallax: (N,) by how many of these units a unit of inverse depth (of g's) moves it along.
+        weights: (N,) bisquare.
+    """
+
+    distance: FloatArray
+    across: FloatArray
+    along: FloatArray
+    parallax: FloatArray
+    weights: FloatArray
+
+
+class Equations(NamedTuple):
+    """The weighted normal equations of one term, in the axes of its current camera.
+
+    Attributes:
+        matrix: (12, 12) lower triangle of J'WJ in (w, d, α).
+        right: (12,) J'We.
+        stretch: (6,) Σ W Jρ² ∂log|Jρ| by (w, d): how the motion stretches the parallax.
+        squares: (1,) Σ W Jρ².
+        noise: (6, 6) the part of J'WJ in (w, d) that is there because J is taken at noisy points: it tells nothing, but a
+            small motion, or a rod that is seen to turn about itself, would be thought known by it. (0, 0) where it is not
+            wanted.
+    """
+
+    matrix: FloatArray
+    right: FloatArray
+    stretch: FloatArray
+    squares: FloatArray
+    noise: FloatArray
+
+
+@kernel
+def no_matched(n: int) -> Matched:
+    """Of n matches, to be filled."""
+    return Matched(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n))
+
+
+@kernel
+def no_equations(noise: bool) -> Equations:
+    """To be filled, with the part of noise or without."""
+    unknowns, size = 6 + SURFACE, 6 if noise else 0
+    return Equations(
+        np.zeros((unknowns, unknowns)), np.zeros(unknowns), np.zeros(6), np.zeros(1), np.zeros((size, size))
+    )
+
+
+def matched(
+    stack: Stack,
+    t: int,
+    candidate: Candidate,
+    tolerance: Tolerance,
+    usable: BoolArray | None = None,
+    *,
+    noise: bool = True,
+) -> tuple[Matched, Equations]:
+    """`match_equations` of term t; of `Matched`, its own matches."""
+    n = len(stack.x)
+    matches, equations = no_matched(n), no_equations(noise)
+    match_equations(stack, t, np.ones(n, bool) if usable is None else usable, candidate, tolerance, matches, equations)
+    mine = slice(stack.offsets[t], stack.offsets[t + 1])
+    return Matched(*(values[mine] for values in matches)), equations
 
 
 @kernel
@@ -32,45 +123,31 @@ def match_equations(
     stack: Stack,
     t: int,
     usable: BoolArray,
-    rotation: FloatArray,
-    shift: FloatArray,
-    surface: FloatArray,
-    variance: float,
-    relief: float,
-    shared_relief: float,
-    cutoff: float,
-    distance: FloatArray,
-    across: FloatArray,
-    along: FloatArray,
-    parallax: FloatArray,
-    weights: FloatArray,
-    equations: FloatArray,
-    noise: FloatArray,
+    candidate: Candidate,
+    tolerance: Tolerance,
+    matches: Matched,
+    equations: Equations,
 ) -> None:
-    """How far each match of term t is from where the motion and the surface put it, and the weighted normal equations.
+    """Where the matches of term t are and what they say of the motion.
 
     Args:
-        surface: (6,) α.
-        variance: σ², normalised units.
-        relief: ζ, in units of the inverse depth of g; shared_relief: what is left of it in the mean of many matches,
-            times the root of their number: the equations have it.
-        cutoff: of d.
-        distance: (N,) d²; infinite for a point that the motion takes behind its camera.
-        across: (N,) distance across the epipolar line over √(n'(I + Jx Jx')n): Sampson's distance, signed, with σ as its
-            standard deviation. along: (N,) distance along it, likewise normalised by √(b'(I + Jx Jx')b).
-        parallax: (N,) by how many of these units a unit of inverse depth (of g's) moves it along.
-        weights: (N,) bisquare. Of all five, the term's own part is filled.
-        equations: (12, 14) lower triangle of J'WJ in (w, d, α); J'We; Σ W Jρ² ∂log|Jρ| by (w, d), then Σ W Jρ². In the
-            axes of the current camera.
-        noise: (6, 6) becomes the part of J'WJ in (w, d) that is there because J is taken at noisy points: it tells
-            nothing, but a small motion, or a rod that is seen to turn about itself, would be thought known by it. (0, 0)
-            where it is not wanted.
+        usable: (N,) matches that may have a weight.
+        candidate: with quadrics as surfaces.
+        matches: of all terms; the term's own part is filled.
+        equations: filled.
     """
+    variance, relief, shared_relief, cutoff = tolerance
+    distance, across, along, parallax, weights = matches
+    matrix, right, stretch, squares, noise = equations
+    surface = candidate.surface[t]
     rc, tc, turned = np.empty((3, 3)), np.empty(3), np.empty(3)
-    view_of(stack, t, rotation, shift, rc, tc, turned)
+    view_of(stack, t, candidate, rc, tc, turned)
     unit, spread = stack.inverse_depth[t], stack.spread[t]
     c0, c1 = stack.anchor[t, 0], stack.anchor[t, 1]
-    equations[:] = 0.0
+    matrix[:] = 0.0
+    right[:] = 0.0
+    stretch[:] = 0.0
+    squares[:] = 0.0
     noise[:] = 0.0
     phi, row = np.empty(SURFACE), np.empty(6)
     phi[0] = 1.0
@@ -121,21 +198,20 @@ def match_equations(
         image_row(b0, b1, u, v, z, r0 + rho * turned[0], r1 + rho * turned[1], r2 + rho * turned[2], rho, row)
         for k in range(6):
             for j in range(k + 1):
-                equations[k, j] += w * row[k] * row[j]
-                equations[6 + k, 6 + j] += w * length * length * phi[k] * phi[j]
+                matrix[k, j] += w * row[k] * row[j]
+                matrix[6 + k, 6 + j] += w * length * length * phi[k] * phi[j]
             for j in range(6):
-                equations[6 + j, k] += w * row[k] * length * phi[j]
-            equations[k, 12] += w * row[k] * off
-            equations[6 + k, 12] += w * length * phi[k] * off
-        # How the motion stretches the parallax, for `_reduce`.
+                matrix[6 + j, k] += w * row[k] * length * phi[j]
+            right[k] += w * row[k] * off
+            right[6 + k] += w * length * phi[k] * off
         h2, share = -(b0 * u + b1 * v), w * length * unit / z
-        equations[0, 13] += share * (turned[1] * h2 - turned[2] * b1)
-        equations[1, 13] += share * (turned[2] * b0 - turned[0] * h2)
-        equations[2, 13] += share * (turned[0] * b1 - turned[1] * b0)
-        equations[3, 13] += share * b0
-        equations[4, 13] += share * b1
-        equations[5, 13] += share * h2
-        equations[6, 13] += w * length * length
+        stretch[0] += share * (turned[1] * h2 - turned[2] * b1)
+        stretch[1] += share * (turned[2] * b0 - turned[0] * h2)
+        stretch[2] += share * (turned[0] * b1 - turned[1] * b0)
+        stretch[3] += share * b0
+        stretch[4] += share * b1
+        stretch[5] += share * h2
+        squares[0] += w * length * length
         if noise.shape[0] > 0:
             _add_noise(w * variance, 0.0, b0, b1, u, v, z, rc, turned, noise)
         # Across it: where the match itself puts it, as far as its parallax can be told from noise. Were that depth used
@@ -152,8 +228,8 @@ def match_equations(
         off = b0 * e1 - b1 * e0
         for k in range(6):
             for j in range(k + 1):
-                equations[k, j] += w * row[k] * row[j]
-            equations[k, 12] += w * row[k] * off
+                matrix[k, j] += w * row[k] * row[j]
+            right[k] += w * row[k] * off
         if noise.shape[0] > 0:
             told = unit * spare / (variance * noise_b + spare) * np.sqrt(variance * noise_b) / max(length, 1e-300)
             _add_noise(w * variance, w * told * told, -b1, b0, u, v, z, rc, turned, noise)

@@ -1,4 +1,7 @@
-"""The cost of a motion, from each camera's 45 numbers: one part plane, one part epipolar.
+"""The first look: the cost of a motion from each camera's 45 numbers, one part plane, one part epipolar.
+
+It finds the minima that `match_cost`, the last word, decides between: a step costs the same whatever the number of matches.
+Where a surface is a plane without relief, the two agree to first order in the image's size.
 
 How far along its epipolar line a feature goes depends on its depth. Of that, a plane per term is assumed, its inverse
 depth ρ = α·(1, u, v) unknown beside the motion (weak prior, from where the cameras' rays meet), and a relief about
@@ -21,19 +24,42 @@ Pless 2003; plane and parallax, ibid. section 13.3; the mixture and its moments 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.compiled import kernel
-from sylpose.two_frames.terms import Stack
+from sylpose.two_frames.terms import Candidate, Stack
 
-__all__ = ["along_variance", "moments_into", "term_equations", "term_misfit", "view_of"]
+__all__ = ["Normal", "Sums", "along_variance", "moments_into", "term_equations", "term_misfit", "view_of"]
 
 
-# Weight of the prior relief in its estimate, as a number of matches.
+# Weight of the prior relief in its estimate, as a number of matches (choice).
 PRIOR_MATCHES = 3.0
-# Sampson's denominator, in squares of the unit of length, of an epipolar geometry that is nothing but rounding.
+# What may be noise, in standard deviations of its variance, is not taken for relief (choice).
+NOISE_SIGMAS = 2.0
+# Sampson's denominator, in squares of the unit of length, of an epipolar geometry that is nothing but rounding (choice).
 TINY = 1e-28
+
+
+class Sums(NamedTuple):
+    """What is left of the matches of T terms.
+
+    Attributes:
+        moments: (T, 9, 9) pair moments, weighted, each with a positive count.
+        variance: (T,) σ² of an image coordinate, normalised units.
+    """
+
+    moments: FloatArray
+    variance: FloatArray
+
+
+class Normal(NamedTuple):
+    """Normal equations in (w, d, α) of each of T terms: hessian (T, 9, 9), gradient (T, 9)."""
+
+    hessian: FloatArray
+    gradient: FloatArray
 
 
 @kernel
@@ -47,13 +73,13 @@ def _cross(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
 def view_of(
     stack: Stack,
     t: int,
-    rotation: FloatArray,
-    shift: FloatArray,
+    candidate: Candidate,
     rc: FloatArray,
     tc: FloatArray,
     turned: FloatArray,
 ) -> None:
     """The motion as term t's camera sees it: rc = Qy R Qx', tc = Qy τ, turned = Qy R a1."""
+    rotation, shift = candidate.rotation, candidate.shift
     qx, qy, a1, a2 = stack.qx[t], stack.qy[t], stack.a1[t], stack.a2[t]
     for i in range(3):
         r0 = qy[i, 0] * rotation[0, 0] + qy[i, 1] * rotation[1, 0] + qy[i, 2] * rotation[2, 0]
@@ -124,31 +150,27 @@ def _add_squares(
 
 @kernel
 def term_equations(
-    m: FloatArray,
     stack: Stack,
+    sums: Sums,
     t: int,
-    variance: float,
     kappa: float,
-    rotation: FloatArray,
-    shift: FloatArray,
-    surface: FloatArray,
-    hessian: FloatArray,
-    gradient: FloatArray,
+    candidate: Candidate,
+    normal: Normal,
     full: bool,
 ) -> float:
     """One term's cost and, if `full`, its normal equations in (w, d, α).
 
     Args:
-        m: (9, 9) pair moments of term t, weighted.
-        variance: σ² of an image coordinate, normalised units.
-        surface: (3,) α.
-        hessian: (9, 9) and gradient: (9,), filled.
+        candidate: with planes as surfaces.
+        normal: of all terms; the term's own part is filled.
 
     Returns:
         half the weighted sum of squares, prior of α included.
     """
+    m, variance, surface = sums.moments[t], sums.variance[t], candidate.surface[t]
+    hessian, gradient = normal.hessian[t], normal.gradient[t]
     rc, tc, turned, plane = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
-    view_of(stack, t, rotation, shift, rc, tc, turned)
+    view_of(stack, t, candidate, rc, tc, turned)
     _plane(stack, t, surface, plane)
     qy, unit, anchor, spread = stack.qy[t], stack.inverse_depth[t], stack.anchor[t], stack.spread[t]
     count = m[8, 8]
@@ -249,17 +271,15 @@ def _epipolar_rows(e: FloatArray, n: int, x0: float, x1: float, y0: float, y1: f
 
 @kernel
 def along_variance(
-    m: FloatArray,
     stack: Stack,
+    sums: Sums,
     t: int,
-    variance: float,
-    rotation: FloatArray,
-    shift: FloatArray,
-    surface: FloatArray,
+    candidate: Candidate,
 ) -> tuple[float, float]:
     """κ, and v: the variance of the residuals along the epipolar line, normalised units."""
+    m, variance, surface = sums.moments[t], sums.variance[t], candidate.surface[t]
     rc, tc, turned, plane, b = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(2)
-    view_of(stack, t, rotation, shift, rc, tc, turned)
+    view_of(stack, t, candidate, rc, tc, turned)
     _plane(stack, t, surface, plane)
     count = m[8, 8]
     x0, x1 = m[8, 6] / count, m[8, 7] / count
@@ -281,8 +301,8 @@ def along_variance(
     believed = 2.0 * variance + (stack.plane_relief[t] * stack.inverse_depth[t] * length) ** 2
     # The plane's three unknowns have taken their share of the squares.
     v = (squares + PRIOR_MATCHES * believed) / (max(count - 3.0, 0.0) + PRIOR_MATCHES)
-    # Noise alone scatters v; what may be noise, at two standard deviations, is not taken for relief.
-    noise = 2.0 * variance * (1.0 + 2.0 * np.sqrt(2.0 / (count + PRIOR_MATCHES)))
+    # Noise alone scatters v.
+    noise = 2.0 * variance * (1.0 + NOISE_SIGMAS * np.sqrt(2.0 / (count + PRIOR_MATCHES)))
     if v > noise:
         return 1.0 - 2.0 * variance / v, v
     return 0.0, 2.0 * variance
@@ -290,15 +310,15 @@ def along_variance(
 
 @kernel
 def term_misfit(
-    m: FloatArray,
     stack: Stack,
+    sums: Sums,
     t: int,
-    rotation: FloatArray,
-    shift: FloatArray,
+    candidate: Candidate,
 ) -> float:
     """Σ w r²: the epipolar squares alone, normalised units."""
+    m = sums.moments[t]
     rc, tc, turned = np.empty((3, 3)), np.empty(3), np.empty(3)
-    view_of(stack, t, rotation, shift, rc, tc, turned)
+    view_of(stack, t, candidate, rc, tc, turned)
     e, row = np.empty((1, 3, 3)), np.empty((1, 9))
     for j in range(3):
         e[0, 0, j] = tc[1] * rc[2, j] - tc[2] * rc[1, j]

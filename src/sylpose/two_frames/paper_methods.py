@@ -29,7 +29,7 @@ __all__ = ["ESTIMATORS", "paper_fit"]
 
 Moments = Sequence[PairMoments]
 
-# Fewer matches have no second moments.
+# Fewer matches have no second moments (derived).
 SPREAD = 3
 
 

@@ -10,120 +10,148 @@ Source: M-estimators of regression and scale, Huber & Ronchetti, "Robust Statist
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import cholesky_solve, kernel, solve_factored, turn_by
 from sylpose.numerics.normal_equations import add_turned, eliminate, turn_rows
 from sylpose.numerics.robust import bisquare_on_noise
-from sylpose.two_frames.match_cost import match_equations
-from sylpose.two_frames.terms import SURFACE, Stack
+from sylpose.two_frames.match_cost import Equations, Matched, Tolerance, match_equations, no_equations
+from sylpose.two_frames.terms import SURFACE, Candidate, Stack
 
-__all__ = ["CUTOFF", "SETTLED", "reweight"]
+__all__ = ["CUTOFF", "SETTLED", "Reweighted", "nothing_yet", "reweight"]
 
 
 # Cutoff of d: 94 % efficient with Gaussian noise in both directions, for which d² is chi-squared with two degrees of
 # freedom (choice); what the weighted mean square and the information of the weights then lack (derived).
 CUTOFF = 5.0
 SHRINKAGE, GAIN = bisquare_on_noise(CUTOFF).shrinkage, bisquare_on_noise(CUTOFF).gain
-# Cutoffs of the first rounds are wider by these factors: the first motion comes from contaminated matches.
+# Cutoffs of the first rounds are wider by these factors: the first motion comes from contaminated matches (choice).
 WIDER = (2.0, 1.5, 1.2)
-# Rounds at least, while the noise level still moves, and at most.
+# Rounds at least, while the noise level still moves, and at most (choice).
 MIN_ROUNDS, MAX_ROUNDS = 5, 40
-# From this round on, steps are cut shorter and shorter.
-LONG_ROUNDS = 12
-# Settled when a step promises to lower the cost by less than this: a thirtieth of a standard deviation.
+# From the second round on noise, reliefs and cameras that are set aside follow the residuals (choice).
+SECOND_ROUND = 2
+# From this round on, steps are cut shorter and shorter; after the first few also where they grow, by a half and down to a
+# tenth, else they may be longer again. None turns by more than this, radians (choice).
+LONG_ROUNDS, FREE_ROUNDS = 12, 4
+SHORTER, SHORTEST, LONGER = 0.5, 0.1, 1.3
+LONGEST_STEP = 0.3
+# What is added to a step's diagonal, of its trace (choice).
+RIDGE = 1e-9
+# Settled when a step promises to lower the cost by less than this: a thirtieth of a standard deviation (choice).
 SETTLED = 5e-4
-# A term's σ counts as that of so many matches more that have the rig's.
+# A term's σ counts as that of so many matches more that have the rig's (choice).
 RIG_MATCHES = 10.0
 # Noise is never believed to be less, pixels, nor more than so many times the seeds': else two motions, or none, would be
-# explained by it.
+# explained by it (choice).
 SIGMA_FLOOR_PX = 0.02
 SIGMA_GROWTH = 2.0
 # Fitting α to noise makes the parallax, and so the motion, look larger than it is. Integrating α out of the likelihood
 # instead takes that back where surfaces are as curved as is believed, and too much of it where they are flatter: this share
-# of it lies between, and is hardly worse than either at its best (docs/benchmarks.md).
+# of it lies between, and is hardly worse than either at its best (measured: docs/benchmarks.md#two-frames).
 INTEGRATED = 0.5
-# Neighbours have like relief: of all a term's matches only so many are independent of each other in it.
+# What is left of the surfaces' prior where nothing is believed of them: as much as keeps them determined (choice).
+OPEN_PRIOR = 1e-6
+# The slopes' prior is Cauchy's in two dimensions, Student's with one degree of freedom: 1 + 2 (derived).
+TAIL = 3.0
+# A mismatch lies anywhere in a square of so many spreads (choice).
+ANYWHERE = 4.0
+# Unknowns never take all of the squares, across the lines and along them (choice).
+LEAST_FREEDOM, LEAST_FREEDOM_ALONG = 0.15, 0.1
+# A relief's square is never believed to be less, of what it is believed to be beforehand (choice).
+LEAST_RELIEF = 1e-3
+# Neighbours have like relief: of all a term's matches only so many are independent of each other in it (choice).
 INDEPENDENT = 6.0
-# A camera that agrees with the others in fewer of its matches than this is set aside: junk alone reaches about a tenth.
-CAMERA_MIN_SHARE = 0.3
+# A camera of so many matches that agrees with the others in fewer of them than this is set aside, junk alone reaches about a
+# tenth; where another agrees in many, else nobody knows who is right (choice).
+JUDGED, CAMERA_MIN_SHARE = 6, 0.3
+MANY = 2.0 * CAMERA_MIN_SHARE
+
+
+class Reweighted(NamedTuple):
+    """A motion and what its inliers say (T terms, N matches).
+
+    Attributes:
+        candidate: the motion, with quadrics as surfaces.
+        sigma_px: (T,) noise, pixels.
+        weights: (N,).
+        across: (N,) signed epipolar distances, pixels.
+        information: (6, 6) about (w, d).
+        without_depth: (6, 6) the same when nothing is believed of the surfaces, of how far away they are nor how curved.
+        noise: (6, 6) the part of both that tells nothing (`Equations`).
+    """
+
+    candidate: Candidate
+    sigma_px: FloatArray
+    weights: FloatArray
+    across: FloatArray
+    information: FloatArray
+    without_depth: FloatArray
+    noise: FloatArray
 
 
 @kernel
-def reweight(
-    stack: Stack,
-    usable: BoolArray,
-    rotation: FloatArray,
-    shift: FloatArray,
-    surface: FloatArray,
-    sigma_px: FloatArray,
-    weights: FloatArray,
-    across: FloatArray,
-    information: FloatArray,
-    without_depth: FloatArray,
-    noise: FloatArray,
-) -> tuple[int, float, float]:
+def nothing_yet(stack: Stack) -> Reweighted:
+    """No motion, with no inliers."""
+    n, n_matches = stack.focal.shape[0], stack.x.shape[0]
+    return Reweighted(
+        Candidate(np.eye(3), np.zeros(3), stack.surface_mean.copy()),
+        np.ones(n),
+        np.zeros(n_matches),
+        np.zeros(n_matches),
+        np.zeros((6, 6)),
+        np.zeros((6, 6)),
+        np.zeros((6, 6)),
+    )
+
+
+@kernel
+def reweight(stack: Stack, usable: BoolArray, fit: Reweighted) -> tuple[int, float, float]:
     """From one motion to the one that its inliers agree on, all in place.
 
     Args:
         usable: (N,) matches that may be inliers.
-        rotation: (3, 3), shift: (3,), surface: (T, 6): start, then result.
-        sigma_px: (T,) noise assumed at first, pixels; then measured.
-        weights: (N,), across: (N,) signed epipolar distances in pixels: filled.
-        information: (6, 6) about (w, d), without_depth: (6, 6) the same when nothing is believed of the
-            surfaces, of how far away they are nor how curved, noise: (6, 6) the part of both that tells
-            nothing (`match_equations`): filled.
+        fit: its candidate and noise are the start; all of it becomes the result.
 
     Returns:
         number of rounds; what the last step promised to lower the cost by, infinite where no match agreed; the negative
         log-likelihood of all usable matches, to compare hypotheses by.
     """
+    candidate, sigma_px, weights, across, information, without_depth, noise = fit
+    rotation, shift, surface = candidate
     n, n_matches = sigma_px.shape[0], weights.shape[0]
     distance, along, parallax = np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
-    equations, gains = np.empty((12, 14)), np.empty((n, SURFACE, 7))
+    matches = Matched(distance, across, along, parallax, weights)
+    searching, ending, gains = no_equations(False), no_equations(True), np.empty((n, SURFACE, 7))
     total, right, step, prior = np.empty((6, 6)), np.empty(6), np.empty(6), np.empty((SURFACE, SURFACE))
     open_prior = np.empty((SURFACE, SURFACE))
-    noise_now, no_noise = np.empty((6, 6)), np.empty((0, 0))
     unused = np.empty(6)
     turned, relief, mass = np.empty((3, 3)), stack.relief.copy(), np.zeros(n)
     trusted = np.ones(n, np.bool_)
     bound = SIGMA_GROWTH * sigma_px.max()
     promise, length, count, settled = np.inf, 1.0, 0, False
     for count in range(1, MAX_ROUNDS + 2):
-        cutoff = CUTOFF * (WIDER[count - 1] if count <= 3 else 1.0)
+        cutoff = CUTOFF * (WIDER[count - 1] if count <= len(WIDER) else 1.0)
         total[:] = 0.0
         without_depth[:] = 0.0
         noise[:] = 0.0
         right[:] = 0.0
         for t in range(n):
-            match_equations(
-                stack,
-                t,
-                usable,
-                rotation,
-                shift,
-                surface[t],
-                (sigma_px[t] / stack.focal[t]) ** 2,
-                relief[t],
-                relief[t] * np.sqrt(max(1.0, mass[t] / INDEPENDENT)),
-                cutoff,
-                distance,
-                across,
-                along,
-                parallax,
-                weights,
-                equations,
-                noise_now if settled else no_noise,
-            )
+            equations = ending if settled else searching
+            shared = relief[t] * np.sqrt(max(1.0, mass[t] / INDEPENDENT))
+            tolerance = Tolerance((sigma_px[t] / stack.focal[t]) ** 2, relief[t], shared, cutoff)
+            match_equations(stack, t, usable, candidate, tolerance, matches, equations)
             _surface_prior(stack, t, surface[t], prior)
             if settled and trusted[t]:
                 # The last round: nothing moves any more.
                 for k in range(SURFACE):
                     for j in range(SURFACE):
-                        open_prior[k, j] = 1e-6 * prior[k, j]
+                        open_prior[k, j] = OPEN_PRIOR * prior[k, j]
                 _reduce(stack, t, surface[t], open_prior, equations, without_depth, unused, gains[t])
-                add_turned(noise_now, stack.qy[t], noise)
+                add_turned(equations.noise, stack.qy[t], noise)
             if not trusted[t]:
                 gains[t] = 0.0
             elif not _reduce(stack, t, surface[t], prior, equations, total, right, gains[t]):
@@ -143,8 +171,8 @@ def reweight(
         # Turns and shifts have different units; a trace of each keeps what is not seen at all in place.
         turns, shifts = total[0, 0] + total[1, 1] + total[2, 2], total[3, 3] + total[4, 4] + total[5, 5]
         for i in range(3):
-            total[i, i] += 1e-9 * turns
-            total[3 + i, 3 + i] += 1e-9 * shifts
+            total[i, i] += RIDGE * turns
+            total[3 + i, 3 + i] += RIDGE * shifts
         step[:] = right
         if not cholesky_solve(total, step):
             return count, np.inf, np.inf
@@ -152,11 +180,12 @@ def reweight(
         for i in range(6):
             promise += 0.5 * step[i] * right[i]
         # Steps that grow overshoot, and matches that come and go make them circle: shorter ones settle.
-        length = max(0.5 * length, 0.1) if promise > last_promise and count > 4 else min(1.3 * length, 1.0)
+        growing = promise > last_promise and count > FREE_ROUNDS
+        length = max(SHORTER * length, SHORTEST) if growing else min(LONGER * length, 1.0)
         if count > LONG_ROUNDS:
             length = min(length, LONG_ROUNDS / count)
         angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-        length_now = length * min(1.0, 0.3 / max(angle, 1e-300))
+        length_now = length * min(1.0, LONGEST_STEP / max(angle, 1e-300))
         for i in range(6):
             step[i] *= length_now
         turn_by(step[:3], rotation, turned)
@@ -172,7 +201,7 @@ def reweight(
             mass[t] = 0.0
             for i in range(stack.offsets[t], stack.offsets[t + 1]):
                 mass[t] += weights[i]
-        if count >= 2:
+        if count >= SECOND_ROUND:
             _set_aside(stack, usable, weights, trusted)
             _scale(stack, weights, across, trusted, bound, sigma_px)
             _reliefs(stack, weights, along, parallax, sigma_px, relief)
@@ -181,7 +210,7 @@ def reweight(
     for t in range(n):
         cost += _surface_prior(stack, t, surface[t], prior)
         f, variance = stack.focal[t], (sigma_px[t] / stack.focal[t]) ** 2
-        anywhere = np.log((4.0 * stack.spread[t]) ** 2 / (2.0 * np.pi))
+        anywhere = np.log((ANYWHERE * stack.spread[t]) ** 2 / (2.0 * np.pi))
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             if usable[i]:
                 density = 0.5 * np.log(variance * (variance + (relief[t] * parallax[i]) ** 2))
@@ -203,7 +232,7 @@ def _reduce(
     t: int,
     surface: FloatArray,
     prior: FloatArray,
-    equations: FloatArray,
+    equations: Equations,
     total: FloatArray,
     right: FloatArray,
     gain: FloatArray,
@@ -214,13 +243,13 @@ def _reduce(
     """
     block, column, kept = np.empty((SURFACE, SURFACE)), np.empty(SURFACE), np.zeros((6, 7))
     q = stack.qy[t]
-    turn_rows(equations[6:, :6], q, gain)
+    turn_rows(equations.matrix[6:, :6], q, gain)
     for k in range(SURFACE):
-        gain[k, 6] = equations[6 + k, 12]
+        gain[k, 6] = equations.right[6 + k]
         for j in range(SURFACE):
             gain[k, 6] -= prior[k, j] * (surface[j] - stack.surface_mean[t, j])
-            block[k, j] = equations[6 + k, 6 + j] + prior[k, j]
-    add_turned(equations, q, kept)
+            block[k, j] = equations.matrix[6 + k, 6 + j] + prior[k, j]
+    add_turned(equations.matrix, q, kept)
     if not eliminate(block, gain, kept):
         return False
     # What the data say of α, as a number of unknowns: trace of block^-1 (block - prior).
@@ -232,12 +261,12 @@ def _reduce(
         for i in range(SURFACE):
             unknowns -= column[i] * prior[i, c]
     # The derivative of log det(block) / 2, from the likelihood with α integrated out.
-    pull = INTEGRATED * unknowns / max(equations[6, 13], 1e-300)
+    pull = INTEGRATED * unknowns / max(equations.squares[0], 1e-300)
     for i in range(6):
         h, j = i // 3, i % 3
         right[i] += kept[i, 6]
         for a in range(3):
-            right[i] += q[a, j] * (equations[3 * h + a, 12] - pull * equations[3 * h + a, 13])
+            right[i] += q[a, j] * (equations.right[3 * h + a] - pull * equations.stretch[3 * h + a])
         for j in range(6):
             total[i, j] += kept[i, j]
     return True
@@ -259,8 +288,8 @@ def _surface_prior(stack: Stack, t: int, surface: FloatArray, prior: FloatArray)
             else:
                 cost += 0.5 * part
     for k in range(1, 3):
-        prior[k, k] *= 3.0 / (1.0 + steep)
-    return float(cost + 1.5 * np.log(1.0 + steep))
+        prior[k, k] *= TAIL / (1.0 + steep)
+    return float(cost + 0.5 * TAIL * np.log(1.0 + steep))
 
 
 @kernel
@@ -287,10 +316,10 @@ def _reliefs(
                 excess += w * p2 * (along[i] ** 2 / SHRINKAGE - variance)
                 certainty += w * p2 * p2
                 mass += weights[i]
-        # The surface's unknowns have taken a share of the squares: six of them at most.
-        freedom = max(1.0 - 6.0 / max(mass, 6.0), 0.1)
+        # The surface's unknowns have taken a share of the squares: all of them at most.
+        freedom = max(1.0 - SURFACE / max(mass, float(SURFACE)), LEAST_FREEDOM_ALONG)
         z2 = (excess + 1.0 / believed) / (freedom * certainty + 1.0 / believed**2)
-        relief[t] = np.sqrt(max(z2, 1e-3 * believed))
+        relief[t] = np.sqrt(max(z2, LEAST_RELIEF * believed))
 
 
 @kernel
@@ -308,8 +337,8 @@ def _scale(
                 inliers += trusted[t]
     if inliers == 0:
         return
-    # Six unknowns have taken their share of the squares.
-    freedom = max(1.0 - 6.0 / inliers, 0.15)
+    # The motion's six unknowns have taken their share of the squares.
+    freedom = max(1.0 - 6.0 / inliers, LEAST_FREEDOM)
     rig = (squares * trusted).sum() / max((mass * trusted).sum(), 1e-12) / freedom
     for t in range(n):
         square = (squares[t] / freedom + RIG_MATCHES * rig) / (mass[t] + RIG_MATCHES)
@@ -326,8 +355,8 @@ def _set_aside(stack: Stack, usable: BoolArray, weights: FloatArray, trusted: Bo
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             could += usable[i]
             agree += weights[i] > 0.0
-        if could >= 6:
+        if could >= JUDGED:
             share[t] = agree / could
             best = max(best, share[t])
     for t in range(n):
-        trusted[t] = best < 2.0 * CAMERA_MIN_SHARE or share[t] >= CAMERA_MIN_SHARE
+        trusted[t] = best < MANY or share[t] >= CAMERA_MIN_SHARE

@@ -6,100 +6,88 @@ import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
-from sylpose.two_frames.moments_cost import moments_into
-from sylpose.two_frames.reweight import SETTLED, reweight
-from sylpose.two_frames.search import search
+from sylpose.two_frames.fit import MIN_MATCHES
+from sylpose.two_frames.moments_cost import Sums, moments_into
+from sylpose.two_frames.reweight import SETTLED, Reweighted, nothing_yet, reweight
+from sylpose.two_frames.search import no_minima, search
 from sylpose.two_frames.seeds import hyperplane_inliers
-from sylpose.two_frames.terms import SURFACE, Stack
+from sylpose.two_frames.terms import Guesses, Stack, copy_into
 
-__all__ = ["robust_fit"]
+__all__ = ["fitted", "robust_fit"]
 
 
-# Distance from the affine epipolar constraint that perspective and noise explain.
+# Quadruples that a term's seeds are drawn with, at most (choice).
+QUADRUPLES = 300
+# Distance from the affine epipolar constraint that perspective and noise explain (choice).
 SEED_PX = 1.0
 # Where less than this share of a camera's matches are seeds, a wider band is tried, by this factor; it is believed when
-# it holds a majority, which outliers alone do not fill.
+# it holds a majority, which outliers alone do not fill (choice).
 SEED_SHARE, SEED_WIDE, SEED_MAJORITY = 0.4, 4.0, 0.65
-# Noise of the seeds, pixels: bounds of what is read off their distances from the hyperplane.
+# Fewer matches than this have no wider band (choice).
+WIDENED = 12
+# Noise of the seeds, pixels: bounds of what is read off their distances from the hyperplane (choice).
 SEED_SIGMA_PX = (0.15, 1.5)
 # Minima that may be refined, and how near their log-likelihood must come to the best one's: the moments, with their
-# denominators at the mean rays, misjudge it by some tens where the turn is large.
+# denominators at the mean rays, misjudge it by some tens where the turn is large (choice).
 KEEP = 4
 SECOND_CHANCE = 60.0
 
 
 @kernel
 def robust_fit(
-    stack: Stack,
-    usable: BoolArray,
-    picks: FloatArray,
-    guess_rotations: FloatArray,
-    guess_shifts: FloatArray,
-    rotation: FloatArray,
-    shift: FloatArray,
-    weights: FloatArray,
-    across: FloatArray,
-    sigma_px: FloatArray,
-    information: FloatArray,
-    without_depth: FloatArray,
-    noise: FloatArray,
+    stack: Stack, usable: BoolArray, picks: FloatArray, guesses: Guesses, fit: Reweighted
 ) -> tuple[int, float]:
     """One robust motion: seeds per term, minima of all seeds together, the best of them re-weighted.
 
     Args:
         usable: (N,) matches that may be inliers.
         picks: (h, 4) in [0, 1): draw the seeds' quadruples.
-        guess_rotations: (G, 3, 3), guess_shifts: (G, 3).
-        rotation: (3, 3), shift: (3,), weights: (N,), across: (N,) pixels, sigma_px: (T,),
-            information, without_depth, noise: (6, 6) (`reweight`): filled.
+        fit: filled.
 
     Returns:
-        iterations of the solver; what its last step promised (`minimize`), infinite where there is no fit.
+        iterations of the solver; what its last step promised (`reweight`), infinite where there is no fit.
     """
-    n, n_matches = stack.focal.shape[0], stack.x.shape[0]
-    moments, variance = np.empty((n, 9, 9)), np.empty(n)
-    _seed(stack, usable, picks, weights, sigma_px)
+    n, trial = stack.focal.shape[0], nothing_yet(stack)
+    sums, first_sigma = Sums(np.empty((n, 9, 9)), np.empty(n)), np.empty(n)
+    _seed(stack, usable, picks, trial.weights, first_sigma)
     for t in range(n):
         first, last = stack.offsets[t], stack.offsets[t + 1]
-        moments_into(stack.x[first:last], stack.y[first:last], weights[first:last], moments[t])
-        if not moments[t, 8, 8] > 0.0:
-            moments[t, 8, 8] = 1e-9
-        variance[t] = (sigma_px[t] / stack.focal[t]) ** 2
-    rotations, shifts, planes = np.zeros((KEEP, 3, 3)), np.zeros((KEEP, 3)), np.zeros((KEEP, n, 3))
-    likelihoods, first_sigma = np.empty(KEEP), sigma_px.copy()
-    iterations = search(stack, moments, variance, guess_rotations, guess_shifts, rotations, shifts, planes, likelihoods)
+        moments_into(stack.x[first:last], stack.y[first:last], trial.weights[first:last], sums.moments[t])
+        # A term without a seed has no say, but a count.
+        if not sums.moments[t, 8, 8] > 0.0:
+            sums.moments[t, 8, 8] = 1e-9
+        sums.variance[t] = (first_sigma[t] / stack.focal[t]) ** 2
+    minima = no_minima(KEEP, n)
+    iterations = search(stack, sums, guesses, minima)
     best, promise = np.inf, np.inf
-    weights_, across_, sigma_ = np.zeros(n_matches), np.zeros(n_matches), np.empty(n)
-    information_, without_, noise_ = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    surface = np.empty((n, SURFACE))
     for k in range(KEEP):
         # Others are refined as well where they are nearly as likely, or where the first led nowhere.
-        if not likelihoods[k] > (likelihoods[0] - SECOND_CHANCE if promise < SETTLED else -np.inf):
+        if not minima.likelihoods[k] > (minima.likelihoods[0] - SECOND_CHANCE if promise < SETTLED else -np.inf):
             continue
-        sigma_[:] = first_sigma
-        surface[:] = stack.surface_mean
+        trial.sigma_px[:] = first_sigma
+        trial.weights[:] = 0.0
+        trial.candidate.rotation[:], trial.candidate.shift[:] = minima.rotations[k], minima.shifts[k]
+        trial.candidate.surface[:] = stack.surface_mean
         for t in range(n):
             for j in range(1, 3):
-                surface[t, j] = planes[k, t, j]
-        done, promised, cost = reweight(
-            stack,
-            usable,
-            rotations[k],
-            shifts[k],
-            surface,
-            sigma_,
-            weights_,
-            across_,
-            information_,
-            without_,
-            noise_,
-        )
+                trial.candidate.surface[t, j] = minima.surfaces[k, t, j]
+        done, promised, cost = reweight(stack, usable, trial)
         iterations += done
         if cost < best:
             best, promise = cost, promised
-            rotation[:], shift[:], weights[:], across[:] = rotations[k], shifts[k], weights_, across_
-            sigma_px[:], information[:], without_depth[:], noise[:] = sigma_, information_, without_, noise_
+            copy_into(fit.candidate, trial.candidate)
+            fit.sigma_px[:], fit.weights[:], fit.across[:] = trial.sigma_px, trial.weights, trial.across
+            fit.information[:], fit.without_depth[:], fit.noise[:] = trial.information, trial.without_depth, trial.noise
     return iterations, promise
+
+
+def fitted(
+    stack: Stack, usable: BoolArray, guesses: Guesses, rng: np.random.Generator
+) -> tuple[Reweighted, int, float]:
+    """`robust_fit` with quadruples drawn from rng: the fit, without inliers where there is none, and what it returns."""
+    fit = nothing_yet(stack)
+    iterations, promise = robust_fit(stack, usable, rng.random((QUADRUPLES, 4)), guesses, fit)
+    return fit, iterations, promise
 
 
 @kernel
@@ -124,7 +112,7 @@ def _seed(stack: Stack, usable: BoolArray, picks: FloatArray, weights: FloatArra
         for k in range(count):
             kept += mine[k] > 0.0
         bound = upper
-        if count >= 12 and kept < SEED_SHARE * count:
+        if count >= WIDENED and kept < SEED_SHARE * count:
             # Outliers, or noise: a wider band tells.
             wide_rms = hyperplane_inliers(
                 x[:count], y[:count], SEED_WIDE * SEED_PX / stack.focal[t], picks, wide[:count]
@@ -139,7 +127,7 @@ def _seed(stack: Stack, usable: BoolArray, picks: FloatArray, weights: FloatArra
             weights[index[k]] = mine[k]
             kept += mine[k] > 0.0
         sigma_px[t] = 0.0
-        if kept >= 8:
+        if kept >= MIN_MATCHES:
             # The hyperplane spans both frames' coordinates, as Sampson's distance does.
             sigma_px[t] = min(max(rms * stack.focal[t], lower), bound)
             usual += sigma_px[t]

@@ -11,11 +11,11 @@ from sylpose.numerics.robust import SIGMA_OF_MEDIAN, bisquare
 __all__ = ["hyperplane_inliers"]
 
 
-# Matches that hypotheses are scored on, at most: enough to tell them apart, and the cost stays bounded.
+# Matches that hypotheses are scored on, at most: enough to tell them apart, and the cost stays bounded (choice).
 SCORED = 256
-# Chance, at most, that no all-inlier quadruple was drawn.
+# Chance, at most, that no all-inlier quadruple was drawn (choice).
 MISS = 1e-3
-# Cutoff of the departure from an affine map along the epipolar line, in standard deviations of the bulk.
+# Cutoff of the departure from an affine map along the epipolar line, in standard deviations of the bulk (choice).
 ALONG_CUTOFF = 6.0
 
 

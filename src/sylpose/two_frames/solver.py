@@ -12,19 +12,17 @@ from sylpose.numerics.compiled import kernel
 from sylpose.numerics.matrices import forget
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
-from sylpose.two_frames.robust_fit import robust_fit
-from sylpose.two_frames.terms import Stack, TermData, stack_terms
+from sylpose.two_frames.robust_fit import fitted
+from sylpose.two_frames.terms import Stack, TermData, guesses_of, stack_terms
 from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
 
 __all__ = ["FAR_PX", "fit_terms", "warm_up"]
 
 Hypothesis = tuple[FloatArray, FloatArray]
 
-# Where the moving matches of a camera go further than this, those that stand still are background.
+# Where the moving matches of a camera go further than this, those that stand still are background (choice).
 FAR_PX = 6.0
-# Quadruples that a term's seeds are drawn with, at most.
-QUADRUPLES = 300
-# A solver whose last step was a standard deviation long (this is half its square) had not converged.
+# A solver whose last step was a standard deviation long had not converged: half its square (derived).
 CONVERGED = 0.5
 
 
@@ -47,32 +45,14 @@ def fit_terms(
     if sum(len(term) for term in data) < MIN_MATCHES:
         return no_fit(data, Status.TOO_FEW_MATCHES)
     stack = stack_terms(data, center, radius)
-    n, n_matches = len(stack.focal), len(stack.x)
-    usable = np.ones(n_matches, dtype=bool)
+    usable = np.ones(len(stack.x), dtype=bool)
     _not_background(stack, usable)
-    rotation, shift = np.eye(3), np.zeros(3)
-    weights, across = np.zeros(n_matches), np.zeros(n_matches)
-    sigma_px = np.ones(n)
-    information, without_depth, noise = np.zeros((3, 6, 6))
-    iterations, promise = robust_fit(
-        stack,
-        usable,
-        rng.random((QUADRUPLES, 4)),
-        np.array([r for r, _ in guesses]).reshape(-1, 3, 3),
-        np.array([d for _, d in guesses]).reshape(-1, 3),
-        rotation,
-        shift,
-        weights,
-        across,
-        sigma_px,
-        information,
-        without_depth,
-        noise,
-    )
+    found, iterations, promise = fitted(stack, usable, guesses_of(guesses), rng)
+    (rotation, shift, _), _, weights, across, information, without_depth, noise = found
     status = Status.OK
-    if not (weights > 0).sum() >= MIN_MATCHES or not is_consistent(stack, usable, weights, rotation, shift, sigma_px):
+    if not (weights > 0).sum() >= MIN_MATCHES or not is_consistent(stack, usable, found):
         status = Status.NOT_CONSISTENT
-    rod = rod_axis(stack, weights, sigma_px)
+    rod = rod_axis(stack, found)
     # About a rod the solver circles: that is no failure.
     if status is Status.OK and not ((promise < CONVERGED or rod is not None) and np.isfinite(information).all()):
         status = Status.NOT_CONVERGED
@@ -82,7 +62,7 @@ def fit_terms(
     freedom = int((weights > 0).sum()) - 6
     known = max(freedom - 2, 1) / freedom
     information, without_depth = (known * _without_noise(part, noise) for part in (information, without_depth))
-    if stands_still(stack, weights, across, sigma_px, rotation, shift, information):
+    if stands_still(stack, found, information):
         status, rotation, shift = Status.NO_MOTION, np.eye(3), np.zeros(3)
     if rod is not None:
         information, without_depth = forget(information, rod), forget(without_depth, rod)

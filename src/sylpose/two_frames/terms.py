@@ -24,22 +24,48 @@ from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.compiled import kernel
 from sylpose.rig import nearest_point_to_rays
 
-__all__ = ["SURFACE", "Stack", "TermData", "object_place", "stack_terms"]
+__all__ = [
+    "SURFACE",
+    "Candidate",
+    "Guesses",
+    "Stack",
+    "TermData",
+    "copy_into",
+    "guesses_of",
+    "object_place",
+    "stack_terms",
+]
 
 
 # Unknowns of a term's surface: the inverse depth, in units of that of g, is α·(1, p, q, p², pq, q²) with (p, q) the place in
-# the image, from the anchor and in units of the spread.
+# the image, from the anchor and in units of the spread (derived).
 SURFACE = 6
-# What is believed of it before anything is measured, in radii of the object (`object_place`). Bodies are something between
-# flat, at g, and a sphere about g, whose visible side bulges towards the camera by 0.34 and lies 0.72 nearer: half of
-# that, give or take half. Beyond that, offset and curvatures scatter by so much, ...
+# The prior of the last word (`match_cost`): what is believed of the surface before anything is measured, in radii of the
+# object (`object_place`). Bodies are something between flat, at g, and a sphere about g, whose visible side bulges towards
+# the camera by 0.34 and lies 0.72 nearer: half of that, give or take half (derived). Beyond that, offset and curvatures
+# scatter by so much, ... (choice)
 BULGE, OFFSET_PER_BULGE = 0.15, 2.1
 OFFSET_SD, CURVATURE_SD = 0.3, 0.12
-# ... slopes by this, with Cauchy's tails, since a plane may be seen at a grazing angle, and the relief about it all is
+# ... slopes by this, with Cauchy's tails, since a plane may be seen at a grazing angle, and the relief about it all is this
+# (choice).
 SLOPE_SD = 0.4
 RELIEF_SD = 0.25
-# A first look takes a plane through the visible side alone, and all else for relief.
-PLANE_OFFSET, PLANE_OFFSET_SD, PLANE_SLOPE_SD, PLANE_RELIEF_SD = 0.3, 0.3, 1.0, 0.3
+# The prior of the first look (`moments_cost`): a plane through the visible side alone, as much nearer than g as the quadric
+# is at the anchor (derived, rounded); with Gauss's tails, so wider than Cauchy's, and all else for relief (choice).
+PLANE_OFFSET, PLANE_OFFSET_SD, PLANE_SLOPE_SD, PLANE_RELIEF_SD = 0.3, OFFSET_SD, 1.0, 0.3
+# g is where median rays meet: cameras nearly in one place, by the smallest eigenvalue of the normal equations of that point,
+# tell nothing of it (choice), and those whose mean ray is shorter than this look from opposite sides (choice).
+ONE_PLACE, OPPOSITE = 1e-5, 0.5
+
+# Others believe the same of the visible side of a body, in their own unknowns:
+# - `paper.depth_plane_kernels`: a plane without an offset, which moments about the mean do not have; any normal is as
+#   likely (slopes about 1); relief 0.3 of the points' spread, its own unknown.
+# - `paper.affine_votes`: no depth but the affine image of a plane: slopes of 0.5, near `SLOPE_SD`; relief is a part of what
+#   that image leaves over, more with the turn.
+# - `landmarks.places.depth_prior`: depths of neighbours that are known, so their scatter, of 0.3 to 1 radii: no less than
+#   `OFFSET_SD`, no more than a body is deep. Its bulge of 0.5 radii, of one camera with boxes, is a body between flat and
+#   round again: half of what a sphere's middle lies nearer than g.
+# - `landmarks.alignment`: a plane's three unknowns of variance 1, in units of each landmark's own uncertainty.
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +148,43 @@ class Stack(NamedTuple):
     focal: FloatArray
 
 
+class Candidate(NamedTuple):
+    """A motion and the terms' surfaces: what a solver starts from and, in place, comes to.
+
+    Attributes:
+        rotation: (3, 3) R.
+        shift: (3,) d.
+        surface: (T, 6) α, or (T, 3) of a plane, for a first look.
+    """
+
+    rotation: FloatArray
+    shift: FloatArray
+    surface: FloatArray
+
+    def copied(self) -> Candidate:
+        """The same, in arrays of its own."""
+        return Candidate(self.rotation.copy(), self.shift.copy(), self.surface.copy())
+
+
+@kernel
+def copy_into(to: Candidate, source: Candidate) -> None:
+    """to becomes equal to source."""
+    to.rotation[:], to.shift[:], to.surface[:] = source.rotation, source.shift, source.surface
+
+
+class Guesses(NamedTuple):
+    """G motions to start from besides the built-in ones: rotations (G, 3, 3), shifts (G, 3)."""
+
+    rotations: FloatArray
+    shifts: FloatArray
+
+
+def guesses_of(motions: Sequence[tuple[FloatArray, FloatArray]]) -> Guesses:
+    """Motions (R, d) as arrays."""
+    rotations, shifts = [r for r, _ in motions], [d for _, d in motions]
+    return Guesses(np.array(rotations, dtype=float).reshape(-1, 3, 3), np.array(shifts, dtype=float).reshape(-1, 3))
+
+
 def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> Stack:
     """Stack terms, each with a match at least.
 
@@ -179,7 +242,7 @@ def _place_variance(a1: FloatArray) -> FloatArray:
     rays = a1 / np.maximum(np.linalg.norm(a1, axis=1, keepdims=True), 1e-300)
     values, vectors = np.linalg.eigh((np.eye(3) - rays[:, :, None] * rays[:, None, :]).sum(axis=0))
     # Cameras on opposite sides have it between them.
-    if not values[0] > 1e-5 or np.linalg.norm(rays.mean(axis=0)) < 0.5:
+    if not values[0] > ONE_PLACE or np.linalg.norm(rays.mean(axis=0)) < OPPOSITE:
         return np.zeros(len(a1))
     return np.asarray(OFFSET_SD**2 * ((rays @ vectors) ** 2 * np.maximum(1.0 / values - 1.0, 0.0)).sum(axis=1))
 

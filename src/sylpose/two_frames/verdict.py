@@ -13,21 +13,23 @@ from sylpose.numerics.robust import chi_squared_bound
 from sylpose.numerics.unseen import UNSEEN_SHARE, about_a_turn, unseen_directions
 from sylpose.results import Status
 from sylpose.two_frames.fit import Fit
-from sylpose.two_frames.match_cost import match_equations
-from sylpose.two_frames.reweight import CUTOFF
-from sylpose.two_frames.terms import SURFACE, Stack
+from sylpose.two_frames.match_cost import Tolerance, matched
+from sylpose.two_frames.reweight import CUTOFF, Reweighted
+from sylpose.two_frames.terms import Stack
 
-__all__ = ["is_consistent", "judged", "observed", "rod_axis", "stands_still", "unseen"]
+__all__ = ["is_consistent", "judged", "more_than_chance", "observed", "rod_axis", "stands_still", "unseen"]
 
 
 # What no motion at all must cost more, of six unknowns, and a turn, of three: below it, there may be none (chi-squared, once
 # in a thousand times).
 CERTAIN_MOTION, CERTAIN_TURN = chi_squared_bound(6), chi_squared_bound(3)
-# Points that depart from a line by no more than this, in standard deviations of their noise, lie on it.
+# Points that depart from a line by no more than this, in standard deviations of their noise, lie on it (choice).
 ROD_SIGMAS = 2.5
-# So large a share of inliers is not had by chance.
+# So large a share of inliers is not had by chance (choice).
 CERTAIN_SHARE = 0.7
-# Times that partners are exchanged to measure chance, at most, and with how many matches once or twice will do.
+# Inliers that an answer has by choice, per unknown, and how many times what one has by chance the best of many has (choice).
+CHOSEN, LUCKY = 2, 4.0
+# Times that partners are exchanged to measure chance, at most, and with how many matches once or twice will do (choice).
 EXCHANGES, EXCHANGED = 8, 1000
 
 
@@ -67,72 +69,46 @@ def unseen(fit: Fit, radius: float) -> FloatArray:
     return np.asarray(weak * scale)
 
 
-def is_consistent(
-    stack: Stack,
-    usable: BoolArray,
-    weights: FloatArray,
-    rotation: FloatArray,
-    shift: FloatArray,
-    sigma_px: FloatArray,
-) -> bool:
+def more_than_chance(inliers: float, by_chance: float, unknowns: int) -> bool:
+    """Whether so many inliers are more than a wrong answer would have.
+
+    The best of many hypotheses finds more of them than any one has by chance, hence the factor; as many as there are
+    unknowns it can always satisfy, and as many again by choice.
+    """
+    return inliers > CHOSEN * unknowns + LUCKY * by_chance
+
+
+def is_consistent(stack: Stack, usable: BoolArray, found: Reweighted) -> bool:
     """Whether more matches agree with the fit than would by chance.
 
-    Chance is measured: with the partners exchanged among a camera's matches, those that still agree do so by chance. The
-    best of many hypotheses finds more of them, hence the factor; six it can always satisfy.
+    Chance is measured: with the partners exchanged among a camera's matches, those that still agree do so by chance.
     """
+    weights = found.weights
     inliers, total = int((weights > 0).sum()), int(usable.sum())
     if inliers >= CERTAIN_SHARE * total:
         return True
     exchanges = min(EXCHANGES, 1 + EXCHANGED // total)
-    by_chance = 0.0
-    distance, across, along, parallax, agree = np.empty((5, len(weights)))
-    no_noise, equations = np.empty((0, 0)), np.empty((6 + SURFACE, 8 + SURFACE))
+    by_chance, candidate = 0.0, found.candidate._replace(surface=stack.surface_mean)
     for k in range(1, exchanges + 1):
         y = stack.y.copy()
         for first, last in zip(stack.offsets, stack.offsets[1:], strict=False):
             index = first + np.flatnonzero(usable[first:last])
             # By far, since neighbours in the list may be neighbours in the image, or the same match again.
             y[index] = np.roll(y[index], k * max(1, len(index) // (exchanges + 1)), axis=0)
-        mixed = stack._replace(y=y)
-        agree[:] = 0.0
+        mixed, agree = stack._replace(y=y), np.zeros(len(y))
         for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
             # What is set aside, and a match that cannot be exchanged with another, tells nothing.
             if not (weights[first:last] > 0).any() or usable[first:last].sum() <= k:
                 continue
-            variance, relief, surface = (sigma_px[t] / stack.focal[t]) ** 2, stack.relief[t], stack.surface_mean[t]
-            match_equations(
-                mixed,
-                t,
-                usable,
-                rotation,
-                shift,
-                surface,
-                variance,
-                relief,
-                relief,
-                CUTOFF,
-                distance,
-                across,
-                along,
-                parallax,
-                agree,
-                equations,
-                no_noise,
-            )
+            variance, relief = (found.sigma_px[t] / stack.focal[t]) ** 2, stack.relief[t]
+            tolerance = Tolerance(variance, relief, relief, CUTOFF)
+            agree[first:last] = matched(mixed, t, candidate, tolerance, usable, noise=False)[0].weights
         other = usable & (y != stack.y).any(axis=1)
         by_chance += float((agree[other] > 0.0).sum()) * total / max(int(other.sum()), 1) / exchanges
-    return inliers > 12 + 4.0 * by_chance
+    return more_than_chance(inliers, by_chance, 6)
 
 
-def stands_still(
-    stack: Stack,
-    weights: FloatArray,
-    across: FloatArray,
-    sigma_px: FloatArray,
-    rotation: FloatArray,
-    shift: FloatArray,
-    information: FloatArray,
-) -> bool:
+def stands_still(stack: Stack, found: Reweighted, information: FloatArray) -> bool:
     """Whether the motion found may be none: it is no further from none than chance takes it, by its own information
     (Wald's test), and none explains the inliers about as well.
 
@@ -140,23 +116,23 @@ def stands_still(
     matches all the same. Of a match's two coordinates the fit leaves one; the other, along its epipolar line, is counted as
     if it were all noise.
     """
-    motion = np.concatenate([np.empty(3), shift])
-    rotvec_of(rotation, motion[:3])
+    motion = np.concatenate([np.empty(3), found.candidate.shift])
+    rotvec_of(found.candidate.rotation, motion[:3])
     if motion @ information @ motion >= CERTAIN_MOTION:
         return False
-    counts = np.diff(stack.offsets)
+    counts, sigma_px = np.diff(stack.offsets), found.sigma_px
     stood = 0.5 * ((stack.y - stack.x) ** 2).sum(axis=1) * np.repeat(stack.focal / sigma_px, counts) ** 2
-    moved = (across / np.repeat(sigma_px, counts)) ** 2 + 1.0
-    return bool(weights @ (stood - moved) < CERTAIN_MOTION)
+    moved = (found.across / np.repeat(sigma_px, counts)) ** 2 + 1.0
+    return bool(found.weights @ (stood - moved) < CERTAIN_MOTION)
 
 
-def rod_axis(stack: Stack, weights: FloatArray, sigma_px: FloatArray) -> FloatArray | None:
+def rod_axis(stack: Stack, found: Reweighted) -> FloatArray | None:
     """(6,) the turn about itself, of points that lie on one line in every camera up to noise; else None.
 
     Noise across the line, with the surface bent to fit it, would pass for structure that shows this turn.
     """
     normals = np.zeros((3, 3))
-    if not _on_lines(stack, weights, sigma_px, normals):
+    if not _on_lines(stack, found.weights, found.sigma_px, normals):
         return None
     return np.concatenate([np.linalg.eigh(normals)[1][:, 0], np.zeros(3)])
 

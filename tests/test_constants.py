@@ -1,0 +1,47 @@
+"""Every constant says where it comes from: (derived), (chi-squared), (measured: where) or (choice)."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[1] / "src" / "sylpose"
+# Rooms in which it holds.
+ROOMS = ["known_model", "numerics", "smoothing", "two_frames"]
+ORIGIN = re.compile(r"\((derived|chi-squared|measured|choice)\b")
+
+
+def constants_of(path: Path) -> list[tuple[str, str]]:
+    """Names of a module's constants with numbers in them, each with the comments above it up to other code.
+
+    Constants that follow each other without a comment between them share one.
+    """
+    text = path.read_text(encoding="utf-8")
+    lines, found = text.splitlines(), []
+    for node in ast.parse(text).body:
+        if not isinstance(node, ast.Assign):
+            continue
+        names = [n.id for target in node.targets for n in ast.walk(target) if isinstance(n, ast.Name)]
+        numbers = [n for n in ast.walk(node.value) if isinstance(n, ast.Constant) and isinstance(n.value, int | float)]
+        if not numbers or not all(name.isupper() and name[0] != "_" for name in names):
+            continue
+        at = node.lineno - 1
+        while at > 0 and lines[at - 1].strip() and not lines[at - 1].startswith(("#", " ", "@", ")")):
+            at -= 1
+        comment: list[str] = []
+        while at > 0 and lines[at - 1].startswith("#"):
+            at -= 1
+            comment.insert(0, lines[at])
+        found.append((", ".join(names), " ".join(comment)))
+    return found
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_every_constant_says_where_it_comes_from(room: str) -> None:
+    modules = sorted((SOURCE / room).rglob("*.py"))
+    found = [(f"{path.name}: {names}", comment) for path in modules for names, comment in constants_of(path)]
+    assert found
+    assert [name for name, comment in found if not ORIGIN.search(comment)] == []
