@@ -316,6 +316,15 @@ def test_scripts_and_their_options_exist() -> None:
         assert options <= options_of(REPOSITORY / script), f"{page}: {script} {words}"
 
 
+def test_benchmarks_say_how_they_are_run() -> None:
+    for path in (REPOSITORY / "benchmarks").glob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        if "__main__" in text:
+            assert f"\n    python benchmarks/{path.name}" in (ast.get_docstring(ast.parse(text), clean=False) or ""), (
+                path
+            )
+
+
 def test_targets_of_make_exist() -> None:
     targets = set(re.findall(r"(?m)^([\w-]+):", text_of("Makefile")))
     for page, (target, *_) in commands("make"):
