@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from threading import Barrier
 
 import cv2
 import numpy as np
@@ -11,17 +14,9 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from sylpose.landmarks.alignment import Aligned, Sights, align, stack
-from sylpose.landmarks.alignment_kernels import (
-    CUTOFF,
-    INDEPENDENT,
-    camera_equations,
-    disagreement,
-    doubt_cameras,
-    linearise,
-    weigh,
-    without_surface,
-)
+from sylpose.landmarks.alignment import Aligned, OneOfMany, Sights, Told, align, stack
+from sylpose.landmarks.camera_terms import CUTOFF, INDEPENDENT, camera_terms, own_of
+from sylpose.landmarks.joint_step import disagreement, doubt_cameras
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import dome, ellipsoid, ring
@@ -188,14 +183,12 @@ def compiled(
     one: Sights, surface: FloatArray, rotation: FloatArray, shift: FloatArray, sigma_px: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """What `naive` computes."""
-    stacked, n, variance = stack([one]), len(one.image), (sigma_px / one.focal) ** 2
-    place, distance, across, weights = np.empty((n, 13)), np.empty(n), np.empty(n), np.empty(n)
-    equations, gain, reduced = np.empty((9, 10)), np.empty((3, 7)), np.empty((6, 7))
-    linearise(stacked, 0, rotation, shift, surface, variance, place, distance, across)
-    mass = weigh(stacked, 0, distance, np.empty((n, 2)), weights)
-    camera_equations(stacked, 0, variance, mass, place, across, weights, equations)
-    without_surface(one.rotation, surface, equations, gain, reduced)
-    return distance, across, weights, reduced[:, :6], reduced[:, 6]
+    stacked, reduced = stack([one]), np.empty((6, 7))
+    own = own_of(stacked)
+    own.surface[0] = surface
+    mass = camera_terms(stacked, 0, rotation, shift, sigma_px, True, own, reduced)
+    assert mass == pytest.approx(own.weights.sum())
+    return own.distance, own.across, own.weights, reduced[:, :6], reduced[:, 6]
 
 
 @pytest.mark.parametrize("depth_sd", [1e-4, 0.01, 0.05])
@@ -604,3 +597,53 @@ def test_the_same_again_is_the_same(rig: Rig) -> None:
     a, b = align(sights, *IDENTITY), align(sights, *IDENTITY)
     np.testing.assert_array_equal(a.rotation, b.rotation)
     np.testing.assert_array_equal(a.information, b.information)
+
+
+# --- one camera among others
+
+
+def as_sent(told: Told) -> Told:
+    """What arrives of what was sent: numbers alone."""
+    numbers = (told.matches, told.trust, told.mass, told.level_px, told.cost, told.inliers)
+    wire = struct.pack("<qddddq", *numbers) + told.reduced.astype("<f8").tobytes()
+    assert len(wire) < 400
+    matches, trust, mass, level, cost, inliers = struct.unpack("<qddddq", wire[:48])
+    return Told(matches, trust, np.frombuffer(wire[48:]).reshape(6, 7), mass, level, cost, inliers)
+
+
+def each_for_itself(sights: Sequence[Sights]) -> list[Aligned]:
+    """Every camera in a thread of its own: all that it knows of the others is what they send."""
+    n = len(sights)
+    sent: list[Told | None] = [None] * n
+    together = Barrier(n)
+
+    def one(c: int) -> Aligned:
+        def exchange(told: Told) -> list[Told]:
+            sent[c] = as_sent(told)
+            together.wait(30)
+            heard = [s for s in sent if s is not None]
+            together.wait(30)  # nobody sends again before all have read
+            return heard
+
+        return OneOfMany(sights[c], c, exchange).align(*IDENTITY)
+
+    with ThreadPoolExecutor(n) as pool:
+        return list(pool.map(one, range(n)))
+
+
+@pytest.mark.parametrize("how", ["all well", "one camera is junk", "one camera sees nothing"])
+def test_cameras_that_send_numbers_come_to_the_same_to_the_bit(rig: Rig, how: str) -> None:
+    truth, rng = motion(5, 0.03), np.random.default_rng(0)
+    sights = sights_of(rig, truth, 3, depth_sd=0.02, noise_px=0.4, outliers=0.1, drawn=True)
+    if how == "one camera is junk":  # each is left out once
+        sights[2] = spoilt(sights[2], rig.cameras[2], "junk", rng)
+    if how == "one camera sees nothing":
+        sights[1] = some(sights[1], np.arange(0))
+    here = align(sights, *IDENTITY)
+    for c, found in enumerate(each_for_itself(sights)):
+        for name in ("rotation", "shift", "information", "sigma_px", "doubt", "inliers"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(here, name))
+        assert (found.cost, found.converged, found.iterations) == (here.cost, here.converged, here.iterations)
+        np.testing.assert_array_equal(found.weights[0], here.weights[c])
+        np.testing.assert_array_equal(found.residuals[0], here.residuals[c])
+        np.testing.assert_array_equal(found.surface[0], here.surface[c])

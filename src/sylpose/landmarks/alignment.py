@@ -15,22 +15,36 @@ few of a camera's matches count as independent. Each camera has its own noise σ
 others, as one does that was moved or calibrated badly, is believed the less the more it disagrees: by the chi-squared of
 its pose against theirs, a smooth function without a cliff. Should they disagree, each camera is left out once, and of the
 poses so found the one is taken that all cameras but one agree on best.
+
+Each round is one camera's part (`camera_terms`), which needs that camera's matches alone, and a joint step (`joint_step`),
+which needs a few numbers from each: `align` runs both in one process, `OneOfMany` runs one camera among others elsewhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
-from sylpose.landmarks.alignment_kernels import CUTOFF, Stacked, iterate, linearise
+from sylpose.landmarks.camera_terms import (
+    Own,
+    Stacked,
+    camera_terms,
+    cost_of,
+    judge,
+    noise_of,
+    own_of,
+    take_step,
+)
+from sylpose.landmarks.joint_step import MAX_ROUNDS, Round, first_round, joint_step, measures_noise
 from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.compiled import kernel
 
-__all__ = ["FIRST_PX", "Aligned", "Sights", "align"]
+__all__ = ["FIRST_PX", "Aligned", "OneOfMany", "Sights", "Told", "align"]
 
-
-# Noise that the first, forgiving rounds assume, pixels: from a bad prediction to a keypoint's own noise.
+# Noise that the first, forgiving rounds assume, pixels: from a bad prediction to a keypoint's own noise (choice).
 SCHEDULE_PX = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
 FIRST_PX = SCHEDULE_PX[0]
 # Cameras disagree when one of them is doubted by this factor, has this many times the rig's noise, or this much less of its
@@ -38,10 +52,13 @@ FIRST_PX = SCHEDULE_PX[0]
 DOUBTED, NOISY, FEWER = 3.0, 2.0, 0.6
 # Poses are compared by the robust cost at this noise, pixels; another one than the first has to be better by a margin.
 VOTE_PX, VOTE_MARGIN = 0.5, 0.01
-# A camera with fewer matches has no opinion of its own.
+# A camera with fewer matches has no opinion of its own; as many are the least that fix a pose (derived).
 MIN_VOTES = 3
 # Doubt in a camera that was left out, when it is heard again.
 LEFT_OUT = 1e4
+# A match farther off than this, by its camera's noise or by this much noise, pixels or the rig's, is no inlier, however
+# bad its camera.
+INLIER_PX, INLIER_RIG = 1.0, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,28 +95,30 @@ class Aligned:
     Attributes:
         rotation: (3, 3); shift: (3,).
         information: (6, 6) of (w, d).
-        weights: per camera (n,), 0 for outliers.
-        residuals: per camera (n,) pixels, across the direction that unknown depth leaves open: the epipolar distance.
         cost: robust, mean over the matches by trust, between 0 and 1: comparable between starts.
         converged: whether the last step was negligible and three matches at least agree.
         iterations: of Gauss-Newton.
         sigma_px: (C,) each camera's noise.
         doubt: (C,) 1, or more for cameras that disagree with the others: what they say has so many times the variance that
             their matches give it.
+        inliers: (C,) number of matches that agree.
+        weights: per camera (n,), 0 for outliers. This and what follows is of the cameras that are here.
+        residuals: per camera (n,) pixels, across the direction that unknown depth leaves open: the epipolar distance.
         surface: (C, 3) a.
     """
 
     rotation: FloatArray
     shift: FloatArray
     information: FloatArray
-    weights: tuple[FloatArray, ...]
-    residuals: tuple[FloatArray, ...]
     cost: float
     converged: bool
     iterations: int
-    sigma_px: FloatArray = field(default_factory=lambda: np.empty(0))
-    doubt: FloatArray = field(default_factory=lambda: np.empty(0))
-    surface: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    sigma_px: FloatArray
+    doubt: FloatArray
+    inliers: IntArray
+    weights: tuple[FloatArray, ...]
+    residuals: tuple[FloatArray, ...]
+    surface: FloatArray
 
 
 def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = FIRST_PX) -> Aligned:
@@ -114,22 +133,228 @@ def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, fir
     """
     if not sights:
         raise ValueError("alignment needs the sights of one camera at least, got none")
-    stacked = stack(sights)
+    return _agreed(_Here(stack(sights)), rotation, shift, first_px)
+
+
+class _Cameras(Protocol):
+    """All cameras, here or elsewhere; matches: (C,) how many each has."""
+
+    @property
+    def matches(self) -> IntArray: ...
+
+    def solve(
+        self, schedule: Sequence[float], rotation: FloatArray, shift: FloatArray, doubt: FloatArray, left_out: int = -1
+    ) -> Aligned:
+        """Gauss-Newton from one start, with the noise (S,) that the first rounds assume, pixels, the doubt (C,) there is,
+        and without a camera."""
+
+    def costs(self, found: Aligned) -> FloatArray:
+        """(C,) each camera's mean robust cost of a pose at `VOTE_PX`."""
+
+
+def _agreed(cameras: _Cameras, rotation: FloatArray, shift: FloatArray, first_px: float) -> Aligned:
+    """The pose of all cameras; should they disagree, the one that all but one agree on best."""
     schedule = [s for s in SCHEDULE_PX if s <= first_px] or list(SCHEDULE_PX[-1:])
     start = np.asarray(rotation, float), np.asarray(shift, float)
-    no_doubt = np.ones(len(sights))
-    joint = _solve(stacked, schedule, *start, no_doubt)
-    voters = [c for c, sight in enumerate(sights) if len(sight.image) >= MIN_VOTES]
-    if len(voters) < 3 or not _disagree(joint, voters):
+    no_doubt = np.ones(len(cameras.matches))
+    joint = cameras.solve(schedule, *start, no_doubt)
+    voters = np.flatnonzero(cameras.matches >= MIN_VOTES).tolist()
+    if len(voters) < 3 or not _disagree(joint, cameras.matches, voters):
         return joint
     candidates = [joint]
     for c in voters:
-        without = _solve(stacked, schedule, *start, no_doubt, left_out=c)
-        doubt = np.where(np.arange(len(sights)) == c, LEFT_OUT, 1.0)
-        candidates.append(_solve(stacked, SCHEDULE_PX[-1:], without.rotation, without.shift, doubt))
-    costs = [_vote(stacked, candidate, voters) for candidate in candidates]
+        without = cameras.solve(schedule, *start, no_doubt, left_out=c)
+        doubt = np.where(np.arange(len(no_doubt)) == c, LEFT_OUT, 1.0)
+        candidates.append(cameras.solve(SCHEDULE_PX[-1:], without.rotation, without.shift, doubt))
+    # One vote each, however many matches they have; the worst does not count.
+    costs = [float(np.mean(np.sort(cameras.costs(candidate)[voters])[:-1])) for candidate in candidates]
     costs[0] -= VOTE_MARGIN
     return candidates[int(np.argmin(costs))]
+
+
+def _disagree(joint: Aligned, matches: IntArray, voters: Sequence[int]) -> bool:
+    shares, noise = joint.inliers[voters] / matches[voters], joint.sigma_px[voters]
+    return bool(
+        joint.doubt.max() > DOUBTED or noise.max() > NOISY * np.median(noise) or shares.min() < FEWER * shares.max()
+    )
+
+
+@kernel
+def _level(at: Round, c: int) -> float:
+    """Noise that decides who is an inlier, pixels: that is a matter of the rig's as well."""
+    return float(min(at.sigma_px[c], max(INLIER_PX, INLIER_RIG * at.rig_px[0])))
+
+
+def _aligned(
+    at: Round,
+    rounds: int,
+    settled: bool,
+    cost: float,
+    trust: float,
+    inliers: IntArray,
+    stacked: Stacked,
+    own: Own,
+) -> Aligned:
+    cuts = stacked.offsets[1:-1]
+    return Aligned(
+        at.rotation,
+        at.shift,
+        at.information,
+        cost / max(trust, 1e-12),
+        settled and int(inliers.sum()) >= MIN_VOTES,
+        rounds,
+        at.sigma_px,
+        at.doubt,
+        inliers,
+        tuple(np.split(own.weights, cuts)),
+        tuple(np.split(own.across, cuts)),
+        own.surface,
+    )
+
+
+# --- all cameras here -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Here:
+    """All cameras in one process: the rounds are compiled from end to end."""
+
+    stacked: Stacked
+
+    @property
+    def matches(self) -> IntArray:
+        return np.diff(self.stacked.offsets)
+
+    def solve(
+        self, schedule: Sequence[float], rotation: FloatArray, shift: FloatArray, doubt: FloatArray, left_out: int = -1
+    ) -> Aligned:
+        """See `_Cameras`."""
+        own, at = own_of(self.stacked), first_round(rotation, shift, doubt, schedule[0])
+        inliers = np.zeros(len(doubt), np.int64)
+        rounds, settled, cost = _rounds(self.stacked, np.array(schedule, float), left_out, at, own, inliers)
+        return _aligned(at, rounds, settled, cost, float(_trusts(self.stacked).sum()), inliers, self.stacked, own)
+
+    def costs(self, found: Aligned) -> FloatArray:
+        """See `_Cameras`."""
+        own, pose = own_of(self.stacked), (found.rotation, found.shift)
+        sums = [cost_of(self.stacked, c, *pose, found.surface[c], VOTE_PX, own) for c in range(len(found.doubt))]
+        return np.asarray(np.array(sums) / np.maximum(_trusts(self.stacked), 1e-12))
+
+
+@kernel
+def _rounds(
+    stacked: Stacked, schedule: FloatArray, left_out: int, at: Round, own: Own, inliers: IntArray
+) -> tuple[int, bool, float]:
+    """Rounds until they settle, in place; inliers: (C,), filled.
+
+    Returns:
+        their number; whether they settled; the sum of all costs.
+    """
+    n = len(inliers)
+    reduced, mass, level = np.empty((n, 6, 7)), np.empty(n), np.empty(n)
+    count, settled, last = 0, False, False
+    for count in range(1, MAX_ROUNDS + 2):
+        for c in range(n):
+            mass[c] = camera_terms(stacked, c, at.rotation, at.shift, at.sigma_px[c], c != left_out, own, reduced[c])
+            level[c] = noise_of(stacked, c, own) if measures_noise(count, len(schedule)) else np.nan
+        stepped, negligible = joint_step(at, reduced, mass, level, schedule, count, last)
+        if not stepped:
+            break
+        settled = negligible
+        last = settled or count == MAX_ROUNDS
+        for c in range(n):
+            take_step(c, at.step, own)
+    cost = 0.0
+    for c in range(n):
+        part, agree = judge(stacked, c, at.rotation, at.shift, _level(at, c), c != left_out, own)
+        cost += part
+        inliers[c] = agree
+    return min(count, MAX_ROUNDS), settled, cost
+
+
+# --- one camera among others ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What a camera tells all others: of a round, or at the end.
+
+    Attributes:
+        matches, trust: how many it has, and the sum of their trust.
+        reduced: (6, 7) what it says of the pose: hessian and gradient of (w, d), without its surface.
+        mass: the sum of its weights.
+        level_px: its noise, or NaN.
+        cost: the sum of its robust costs by trust.
+        inliers: number of matches that agree.
+    """
+
+    matches: int
+    trust: float
+    reduced: FloatArray
+    mass: float = 0.0
+    level_px: float = np.nan
+    cost: float = 0.0
+    inliers: int = 0
+
+
+class OneOfMany:
+    """One camera's side of `align`, with the others elsewhere: all that take part come to the same answer, to the bit.
+
+    Args:
+        sights: its own.
+        index: its number among all.
+        exchange: tells all others something, waits for theirs, and returns all, by camera.
+    """
+
+    def __init__(self, sights: Sights, index: int, exchange: Callable[[Told], Sequence[Told]]) -> None:
+        self._stacked, self._index, self._exchange = stack([sights]), index, exchange
+        self._own = own_of(self._stacked)
+        self._says = Told(len(sights.image), float(_trusts(self._stacked)[0]), np.zeros((6, 7)))
+        told = exchange(self._says)
+        self.matches = np.array([t.matches for t in told], np.int64)
+        self._trust = np.array([t.trust for t in told])
+
+    def align(self, rotation: FloatArray, shift: FloatArray, first_px: float = FIRST_PX) -> Aligned:
+        """See `align`; the weights, residuals and surface are this camera's alone."""
+        return _agreed(self, rotation, shift, first_px)
+
+    def solve(
+        self, schedule: Sequence[float], rotation: FloatArray, shift: FloatArray, doubt: FloatArray, left_out: int = -1
+    ) -> Aligned:
+        """See `_Cameras`."""
+        stacked, me, heard = self._stacked, self._index, self._index != left_out
+        own = self._own = own_of(stacked)
+        at, noise = first_round(rotation, shift, doubt, schedule[0]), np.array(schedule, float)
+        count, settled, last = 0, False, False
+        for count in range(1, MAX_ROUNDS + 2):
+            reduced, pose = np.empty((6, 7)), (at.rotation, at.shift)
+            mass = camera_terms(stacked, 0, *pose, float(at.sigma_px[me]), heard, own, reduced)
+            level = noise_of(stacked, 0, own) if measures_noise(count, len(noise)) else np.nan
+            told = self._exchange(replace(self._says, reduced=reduced, mass=mass, level_px=level))
+            all_said = np.array([t.reduced for t in told])
+            masses, levels = np.array([t.mass for t in told]), np.array([t.level_px for t in told])
+            stepped, negligible = joint_step(at, all_said, masses, levels, noise, count, last)
+            if not stepped:
+                break
+            settled = negligible
+            last = settled or count == MAX_ROUNDS
+            take_step(0, at.step, own)
+        cost, inliers = judge(stacked, 0, at.rotation, at.shift, _level(at, me), heard, own)
+        told = self._exchange(replace(self._says, cost=cost, inliers=int(inliers)))
+        agree = np.array([t.inliers for t in told], np.int64)
+        total = sum((t.cost for t in told), 0.0)
+        rounds = min(count, MAX_ROUNDS)
+        return _aligned(at, rounds, settled, total, float(self._trust.sum()), agree, stacked, own)
+
+    def costs(self, found: Aligned) -> FloatArray:
+        """See `_Cameras`."""
+        pose = found.rotation, found.shift
+        cost = cost_of(self._stacked, 0, *pose, found.surface[0], VOTE_PX, own_of(self._stacked))
+        told = self._exchange(replace(self._says, cost=cost))
+        return np.asarray(np.array([t.cost for t in told]) / np.maximum(self._trust, 1e-12))
+
+
+# --- arrays -----------------------------------------------------------------------------------------------------------
 
 
 def stack(sights: Sequence[Sights]) -> Stacked:
@@ -152,78 +377,14 @@ def stack(sights: Sequence[Sights]) -> Stacked:
     )
 
 
+def _trusts(stacked: Stacked) -> FloatArray:
+    """(C,) the sums of the cameras' trust."""
+    return np.array([part.sum() for part in np.split(stacked.trust, stacked.offsets[1:-1])])
+
+
 def _basis(image: FloatArray) -> FloatArray:
     """(n, 3): 1, u, v, the place in the image in units of its spread."""
     if len(image) == 0:
         return np.empty((0, 3))
     spread = max(float(np.linalg.norm(image.std(axis=0))), 1e-12)
     return np.column_stack([np.ones(len(image)), (image - np.median(image, axis=0)) / spread])
-
-
-def _solve(
-    stacked: Stacked,
-    schedule: Sequence[float],
-    rotation: FloatArray,
-    shift: FloatArray,
-    doubt: FloatArray,
-    left_out: int = -1,
-) -> Aligned:
-    n = len(doubt)
-    rotation, shift, doubt = rotation.copy(), shift.copy(), doubt.copy()
-    surface, sigma_px, information = np.zeros((n, 3)), np.empty(n), np.empty((6, 6))
-    weights, across, distance = (np.zeros(len(stacked.trust)) for _ in range(3))
-    count, converged = iterate(
-        stacked,
-        np.array(schedule, float),
-        left_out,
-        rotation,
-        shift,
-        surface,
-        sigma_px,
-        doubt,
-        weights,
-        across,
-        distance,
-        information,
-    )
-    cost = float(stacked.trust @ _cost(distance)) / max(float(stacked.trust.sum()), 1e-12)
-    cuts = stacked.offsets[1:-1]
-    return Aligned(
-        rotation,
-        shift,
-        information,
-        tuple(np.split(weights, cuts)),
-        tuple(np.split(across, cuts)),
-        cost,
-        bool(converged),
-        count,
-        sigma_px,
-        doubt,
-        surface,
-    )
-
-
-def _cost(distance: FloatArray) -> FloatArray:
-    """(n,) bisquare cost, between 0 and 1."""
-    return np.asarray(1.0 - np.maximum(1.0 - (distance / CUTOFF) ** 2, 0.0) ** 3)
-
-
-def _disagree(joint: Aligned, voters: Sequence[int]) -> bool:
-    shares = [float((joint.weights[c] > 0).mean()) for c in voters]
-    noise = joint.sigma_px[voters]
-    return bool(
-        joint.doubt.max() > DOUBTED or noise.max() > NOISY * np.median(noise) or min(shares) < FEWER * max(shares)
-    )
-
-
-def _vote(stacked: Stacked, candidate: Aligned, voters: Sequence[int]) -> float:
-    """Mean cost of all cameras but the worst: one vote each, however many matches they have."""
-    n = len(stacked.trust)
-    place, distance, across = np.empty((n, 13)), np.empty(n), np.empty(n)
-    costs = []
-    for c in voters:
-        mine = slice(stacked.offsets[c], stacked.offsets[c + 1])
-        pose = candidate.rotation, candidate.shift, candidate.surface[c]
-        linearise(stacked, c, *pose, (VOTE_PX / stacked.focal[c]) ** 2, place, distance, across)
-        costs.append(float(stacked.trust[mine] @ _cost(distance[mine])) / max(float(stacked.trust[mine].sum()), 1e-12))
-    return float(np.mean(sorted(costs)[:-1]))

@@ -34,6 +34,7 @@ __all__ = [
     "Found",
     "Region",
     "Team",
+    "features_of",
     "followed_from_anchor",
     "is_a_corner",
     "is_the_same",
@@ -153,6 +154,11 @@ def regions_of(
     return team.crew.each(lambda c: region_polygon(team.rig.cameras[c], points, growth))
 
 
+def features_of(team: Team, seen: Sequence[CameraFrame] | Sequence[Followed]) -> list[Features]:
+    """By camera, each its own: the features of what it has."""
+    return team.crew.each(lambda c: seen[c].features)
+
+
 def split(team: Team, features: Sequence[Features], regions: Sequence[Region]) -> tuple[list[Features], list[Features]]:
     """By camera, each its own: the features inside the regions and those outside."""
     inside = team.crew.each(lambda c: team.parts[c].inside(features[c], regions[c]))
@@ -164,13 +170,14 @@ def split(team: Team, features: Sequence[Features], regions: Sequence[Region]) -
 
 def followed_from_anchor(
     team: Team, joint: Joint, frames: FrameSet, ahead: RigidTransform, regions: Sequence[Region]
-) -> tuple[list[Followed], bool]:
-    """By camera, each its own: the anchor's features in the next images; and whether they suffice to do without others."""
+) -> tuple[list[Followed], int, bool]:
+    """By camera, each its own: the anchor's features in the next images; and of all cameras, how many they are, and whether
+    they suffice to do without others."""
     assert joint.anchor is not None
     last, radius = joint.base.world_from_object, joint.object.radius
     followed = team.crew.each(lambda c: team.parts[c].follow(last, ahead, frames.images[c], frames.masks[c], radius))
     reports = team.crew.ask(lambda c: followed[c].report(regions[c]))
-    return followed, suffices(reports, joint.anchor, ahead)
+    return followed, sum(report.found for report in reports), suffices(reports, joint.anchor, ahead)
 
 
 def looked_for(

@@ -133,8 +133,10 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         np.array([a.features for a in found.agreed], np.int64),
         np.array([a.residual_px for a in found.agreed]),
     )
-    matches, seen_now = zip(*learnt, strict=True)
-    return after, TrackedFrame(result, frames, matches, tuple(found.regions), model.radius, seen_now, frame.late)
+    matches, seen_now = crew.each(lambda c: learnt[c][0]), crew.each(lambda c: learnt[c][1])
+    return after, TrackedFrame(
+        result, frames, tuple(matches), tuple(found.regions), model.radius, tuple(seen_now), frame.late
+    )
 
 
 def not_found(

@@ -23,6 +23,7 @@ from sylpose.tracking.find import (
     Found,
     Region,
     Team,
+    features_of,
     followed_from_anchor,
     is_a_corner,
     is_the_same,
@@ -42,7 +43,7 @@ from sylpose.tracking.tracked_frame import TrackedFrame, unsolved_frame
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.motion import motion_about
 
-__all__ = ["Waiting", "recover", "start", "steady"]
+__all__ = ["Waiting", "next_frame", "recover", "start", "steady"]
 
 # Without boxes nothing is known of the object until it moves: so many frames wait for that, with their images.
 PATIENCE = 10
@@ -63,6 +64,16 @@ class Waiting(NamedTuple):
     frames: FrameSet
 
 
+def next_frame(
+    team: Team, joint: Joint, waiting: Sequence[Waiting], number: int, frames: FrameSet
+) -> tuple[Joint, Sequence[Waiting], list[TrackedFrame]]:
+    """The next frame, on whichever way it has to go; see `start`."""
+    if joint.last is None:
+        return start(team, joint, waiting, number, frames)
+    joint, tracked = (recover if joint.missed else steady)(team, joint, number, frames)
+    return joint, [], [tracked]
+
+
 # --- every frame but the first ones -----------------------------------------------------------------------------------
 
 
@@ -72,11 +83,10 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
     regions = regions_of(team, joint, ahead)
     followed, found = None, None
     if joint.anchor is not None:
-        followed, enough = followed_from_anchor(team, joint, frames, ahead, regions)
+        followed, total, enough = followed_from_anchor(team, joint, frames, ahead, regions)
         if enough:
-            frame = team.frame(number, frames, [f.features for f in followed])
+            frame = team.frame(number, frames, features_of(team, followed))
             joint, found = _found(team, joint, frame, ahead, regions, followed, anew=False)
-            total = sum(team.crew.ask(lambda c: len(followed[c])))
             if found is not None and not found.matches > ANCHOR_SHARE * total:
                 found = None
     if found is None:
@@ -206,7 +216,7 @@ def _begun(
     points = crew.ask(lambda c: triangulated(team, c, found.inliers[c], before, now))
     joint = Joint(model.with_points(np.concatenate(points), team.seed))
     regions = regions_of(team, joint, before)
-    inside, around = split(team, [camera.features for camera in first.cameras], regions)
+    inside, around = split(team, features_of(team, first.cameras), regions)
     frame = team.frame(first.number, first_frames, inside)
     joint, tracked = accept_first(team, joint, first_frames, frame, around, found.middle, regions)
     decided = [tracked]
@@ -214,7 +224,7 @@ def _begun(
         # They were searched everywhere: what was at rest with the object would seem to belong to it.
         pose = now if waited is others[-1].frame else joint.predicted(its.time)
         regions = regions_of(team, joint, pose)
-        inside, _ = split(team, [camera.features for camera in waited.cameras], regions)
+        inside, _ = split(team, features_of(team, waited.cameras), regions)
         joint, solved = _found(team, joint, team.frame(waited.number, its, inside), pose, regions)
         if solved is None:
             joint, tracked = not_found(joint, its, pose, regions)

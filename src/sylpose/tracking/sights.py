@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sylpose.landmarks.alignment import Sights
-from sylpose.landmarks.alignment_kernels import CUTOFF
+from sylpose.landmarks.camera_terms import CUTOFF
 from sylpose.landmarks.places import Landmarks
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.rig import Camera

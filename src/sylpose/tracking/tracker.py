@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from sylpose.tracking.find import Team
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.phases import Waiting, recover, start, steady
+from sylpose.tracking.phases import Waiting, next_frame
 from sylpose.tracking.tracked_frame import TrackedFrame, unsolved_frame
 
 __all__ = ["Tracker", "track"]
@@ -95,7 +95,7 @@ class Tracker:
         self._crew = crew
         self._team = Team(rig, parts, crew, SOLVERS[method], follows, late, seed)
         self._joint = Joint(ObjectModel.in_boxes(rig, boxes) if boxes else ObjectModel())
-        self._waiting: list[Waiting] = []
+        self._waiting: Sequence[Waiting] = []
         self._number = 0  # of the next frame
 
     def __enter__(self) -> Tracker:
@@ -116,12 +116,8 @@ class Tracker:
             boxes tell where it is, then those that waited for it and this one.
         """
         number, self._number = self._number, self._number + 1
-        if self._joint.last is None:
-            self._joint, self._waiting, decided = start(self._team, self._joint, self._waiting, number, frames)
-            return decided
-        way = recover if self._joint.missed else steady
-        self._joint, frame = way(self._team, self._joint, number, frames)
-        return [frame]
+        self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, number, frames)
+        return decided
 
     def flush(self) -> list[TrackedFrame]:
         """The frames still undecided at the recording's end: the object never moved."""
