@@ -195,7 +195,7 @@ GIVEN: dict[str, Callable[[], dict[str, Any]]] = {
     "from sylpose import Matches, estimate_motion": _pixels,
     "from sylpose import estimate_pose": _known_points,
     "from sylpose import PairMoments, solve_centralized": _matches,
-    "from sylpose.paper.equation": _matrices,
+    "from sylpose import solve_generalized_sylvester": _matrices,
     "import cv2": _labels,
 }
 PYTHON = [block for block in blocks() if block.language == "python"]
