@@ -5,7 +5,8 @@ BIN := $(VENV)/bin
 
 .PHONY: demo test lint format bench bench-tracking bench-paper clean
 
-$(VENV)/.installed: pyproject.toml src/sylpose/__init__.py  # which has the version
+# The package's own file has the version.
+$(VENV)/.installed: pyproject.toml src/sylpose/__init__.py
 	$(PYTHON) -c 'import sys; sys.exit("sylpose needs Python 3.11 or newer; set PYTHON=...") if sys.version_info < (3, 11) else None'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
@@ -22,9 +23,12 @@ $(VENV)/.installed-bench: $(VENV)/.installed
 demo: $(VENV)/.installed
 	$(BIN)/sylpose demo --out demo
 
-# Compiled kernels do not notice that a kernel which they call in another file has changed.
+# Compiled kernels do not notice that a kernel which they call in another file has changed. Small matrices gain nothing from
+# several threads, which would get into each other's way beside several workers.
+test: export OPENBLAS_NUM_THREADS = 1
 test: lint
 	-find src -name '*.nb[ic]' ! -newer "$$(find src -name '*.py' -exec ls -t {} + | head -1)" -delete
+	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: $(VENV)/.installed-dev

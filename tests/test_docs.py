@@ -195,7 +195,7 @@ GIVEN: dict[str, Callable[[], dict[str, Any]]] = {
     "from sylpose import Matches, estimate_motion": _pixels,
     "from sylpose import estimate_pose": _known_points,
     "from sylpose import PairMoments, solve_centralized": _matches,
-    "from sylpose.paper.equation": _matrices,
+    "from sylpose import solve_generalized_sylvester": _matrices,
     "import cv2": _labels,
 }
 PYTHON = [block for block in blocks() if block.language == "python"]
@@ -314,6 +314,15 @@ def test_scripts_and_their_options_exist() -> None:
             continue
         options = {word for word in words if word.startswith("--")} - {"--help"}
         assert options <= options_of(REPOSITORY / script), f"{page}: {script} {words}"
+
+
+def test_benchmarks_say_how_they_are_run() -> None:
+    for path in (REPOSITORY / "benchmarks").glob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        if "__main__" in text:
+            assert f"\n    python benchmarks/{path.name}" in (ast.get_docstring(ast.parse(text), clean=False) or ""), (
+                path
+            )
 
 
 def test_targets_of_make_exist() -> None:

@@ -23,9 +23,10 @@ from sylpose.tracking.region import volume_from_boxes
 __all__ = ["Place", "calibration_format", "check_aloud", "facts", "look_at", "object_place", "obstacles", "warnings"]
 
 
-# Cameras nearer to each other than this share of their distance to the object count as one place.
+# Cameras nearer to each other than this share of their distance to the object count as one place (choice: parallax
+# of a pixel at f = 1000 px).
 ONE_PLACE = 1e-3
-# Distances beyond this are hardly metres.
+# Distances beyond this are hardly metres (choice).
 LARGE = 200.0
 
 

@@ -21,7 +21,7 @@ from sylpose.simulate import DemoTruth, render_sequence
 __all__ = ["MAX_ERROR_DEG", "Score", "demo_aloud", "render_demo", "score"]
 
 
-# Of the turn, beyond which the demo counts as failed.
+# Of the turn, beyond which the demo counts as failed (choice: a hundred times what it comes to, docs/benchmarks.md).
 MAX_ERROR_DEG = 2.0
 # In a folder with this file the demo may replace what it finds.
 MARK = "sylpose-demo.txt"

@@ -9,7 +9,8 @@ from sylpose.capture.live import LiveSession
 
 __all__ = ["notes"]
 
-# Time stamps of one frame set that are further from their mean than this, frames, are said to be wrong.
+# Time stamps of one frame set that are further from their mean than this, frames, are said to be wrong (choice:
+# a frame late beside a frame early is what cameras without a common trigger do).
 FAR_APART = 2.0
 
 

@@ -29,7 +29,7 @@ __all__ = ["CHECKPOINT_SECONDS", "Run", "has_ended", "output_path", "track_sessi
 IMAGE_RATE = 2.0
 # With one camera lengths are relative to the object's distance in the first frame (docs/conventions.md).
 ONE_CAMERA_UNIT = "first distances"
-# Between two checkpoints; and they take no more than this share of the time.
+# Seconds between two checkpoints; and they take no more than this share of the time (choice: what one may lose).
 CHECKPOINT_SECONDS, CHECKPOINT_SHARE = 20.0, 0.05
 
 

@@ -31,16 +31,17 @@ __all__ = ["Known", "Synced", "sync_aloud", "sync_session", "write_offsets"]
 # Wraps the frames of a loop to show how far it is: what is done, how many they are, the frames.
 Watch = Callable[[str, int, Iterable[FrameSet]], Iterable[FrameSet]]
 
-# Of the search by speeds, seconds.
+# Of the search by speeds, seconds (choice: cameras started by hand).
 MAX_LAG = 3.0
 # The object is tracked for so many frames at most, so many times, until no offset changes by so much (seconds), or by
-# more than its standard deviation.
+# more than its standard deviation (choice: 20 s at 30 per second; what moves by 1000 px/s moves by 0.1 px in it).
 TRACKED, ROUNDS, SETTLED = 600, 4, 1e-4
 # SIFT: matched anew in every frame, its errors do not go along with the motion as those of followed features do.
 FEATURES = "sift"
-# What is believed of the offsets before each round, frames; and what a camera's must be known to, to count as found.
+# What is believed of the offsets before each round, frames; and what a camera's must be known to, to count as found
+# (choice: whole frames are known by then; docs/sync.md promises a twentieth).
 BELIEF, FOUND = 0.5, 0.05
-# The offsets are also estimated from parts of the recording alone, so many at most and of so many frames at least.
+# The offsets are also estimated from parts of the recording alone, so many at most and of so many frames at least (choice).
 PARTS, PART = 6, 16
 
 

@@ -17,9 +17,11 @@ __all__ = ["convert", "make_camera", "make_pose", "make_rig"]
 
 T = TypeVar("T", bound=msgspec.Struct)
 
-# Calibrations written with a few digits are still rotations to about 1e-4; a larger gap is a mistake in the file.
+# Calibrations written with a few digits are still rotations to about 1e-4; a larger gap is a mistake in the file
+# (choice: ten times those).
 ROTATION_TOLERANCE = 1e-3
-# Below this a rotation matrix is as good as float64 makes it, and is taken bit for bit.
+# Below this a rotation matrix is as good as float64 makes it, and is taken bit for bit (derived: thousands of
+# roundings).
 ROUNDING = 1e-12
 
 

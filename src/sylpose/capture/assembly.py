@@ -17,13 +17,13 @@ __all__ = ["Assembler", "Grab", "Shot", "StreamClock", "Tally"]
 
 # Of one camera, waiting to be put into a set.
 MAX_PENDING = 64
-# A camera that was left out of so many sets in a row is not waited for until it gives a frame again.
+# A camera that was left out of so many sets in a row is not waited for until it gives a frame again (choice).
 PATIENCE = 3
-# Frames from which the interval and the delay of a stream are measured.
+# Frames from which the interval and the delay of a stream are measured (choice: two seconds, shorter than clocks drift).
 WINDOW = 64
-# Frames per second of a camera before it can be measured, where nobody says it.
+# Frames per second of a camera before it can be measured, where nobody says it (choice: the usual one).
 ASSUMED_RATE = 30.0
-# A stream's clock that jumps by more than this, in seconds, has been set anew.
+# A stream's clock that jumps by more than this, in seconds, has been set anew (choice: longer than any queue).
 CLOCK_JUMP = 2.0
 # Seconds until counts are said again: at first, and at last.
 FIRST_PAUSE, LAST_PAUSE = 5.0, 300.0

@@ -27,6 +27,7 @@ from sylpose.rig import Rig
 __all__ = ["LIVE_FILE", "LiveSession", "is_live", "open_live"]
 
 LIVE_FILE = "live.toml"
+# How long a frame set waits for late cameras, seconds, where nobody says it (choice: six frames at 30 per second).
 MAX_DELAY = 0.2
 
 Reader = Callable[[range, Callable[[str], None], threading.Event], Generator[FrameSet, None, None]]

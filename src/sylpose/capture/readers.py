@@ -19,7 +19,8 @@ from sylpose.numerics.arrays import BoolArray, Image
 
 __all__ = ["CameraReader", "Reading", "check_readable"]
 
-# A jump of a video's own clock by more than this many frames is said: a recorder or a damaged file lost some.
+# A jump of a video's own clock by more than this many frames is said: a recorder or a damaged file lost some (choice:
+# a frame or two are not worth a word).
 CLOCK_JUMP = 3.5
 
 

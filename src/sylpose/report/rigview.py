@@ -22,6 +22,7 @@ from sylpose.rig import Camera, Rig, nearest_point_to_rays
 __all__ = ["CameraView", "describe_rig", "meeting_point", "plot_rig", "view_axes"]
 
 
+# Axes that are nearer to parallel meet nowhere in particular (choice).
 PARALLEL = np.radians(2)
 OBJECT_COLOR = "#D55E00"
 OBJECT: dict[str, Any] = {

@@ -20,7 +20,7 @@ __all__ = ["OutlierKind", "SimulatedPair", "random_motion", "simulate_matches"]
 
 OutlierKind = Literal["uniform", "static", "second_motion"]
 
-# A surface is not matched when seen more obliquely than this (cosine of the angle to its normal).
+# A surface is not matched when seen more obliquely than this (cosine of the angle to its normal; choice).
 GRAZING = 0.1
 
 
