@@ -124,6 +124,8 @@ def test_references_are_few_near_and_the_oldest_of_their_ring(turns: list[float]
     for reference in chosen:
         mine = apart[reference.number]
         assert mine < RINGS[-1] + 1e-9
+        if np.abs(np.subtract(RINGS, mine)).min() < 2e-4:  # on the border of two rings: either's
+            continue
         older = apart[: reference.number]
         inside = int(np.searchsorted(RINGS, mine, side="right"))
         # A hundredth of a degree for what lies on the border of two rings.
