@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.frames import Box, FrameSet
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
-from sylpose.results import Status
+from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, DemoTruth, Scene, TexturedBody, demo_scene, demo_truth, render_frames
 from sylpose.simulate.render import Path
@@ -153,7 +153,7 @@ def normalised_squares(tracked: Sequence[TrackedFrame], truth: DemoTruth) -> Flo
     return np.array(squares)
 
 
-def statuses(tracked: Iterable[TrackedFrame]) -> list[Status]:
+def statuses(tracked: Iterable[TrackedFrame]) -> list[FrameStatus]:
     return [f.pose.status for f in tracked]
 
 
@@ -167,12 +167,12 @@ def assert_valid(tracked: Sequence[TrackedFrame]) -> None:
         pose = f.pose
         assert pose.inliers.shape == pose.residuals.shape == (len(f.frames.images),)
         if not pose.measured:
-            assert pose.status not in (Status.TRACKED, Status.FIRST, Status.RELOCALISED)
+            assert pose.status not in (FrameStatus.TRACKED, FrameStatus.FIRST, FrameStatus.RELOCALISED)
             assert not pose.inliers.any()
             assert np.isnan(pose.residuals).all()
             assert f.sightings == ()
         if pose.world_from_object is None:
-            assert pose.status is not Status.COASTING
+            assert pose.status is not FrameStatus.COASTING
             assert np.isnan(pose.covariance).all()
             continue
         assert pose.status.has_pose
@@ -180,7 +180,7 @@ def assert_valid(tracked: Sequence[TrackedFrame]) -> None:
         assert np.isfinite(pose.covariance).all()
         np.testing.assert_allclose(pose.covariance, pose.covariance.T, rtol=1e-6, atol=1e-15)
         scale = np.sqrt(np.maximum(np.diag(pose.covariance), 1e-300))
-        if pose.status is Status.FIRST:
+        if pose.status is FrameStatus.FIRST:
             assert not pose.covariance.any()
             continue
         assert np.linalg.eigvalsh(pose.covariance / np.outer(scale, scale)).min() > 0

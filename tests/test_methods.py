@@ -11,7 +11,7 @@ import pytest
 import sylpose
 from sylpose.cli import main
 from sylpose.methods import FEATURES, METHODS, MOTION_METHODS, PAPER_METHODS, TABLE, Method, features_of, summary
-from sylpose.results import Status
+from sylpose.results import FrameStatus
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.tracker import Tracker
 from sylpose.two_frames import motion
@@ -91,4 +91,4 @@ def test_other_features_than_the_default_serve(method: str, features: str, recor
     """The defaults: tests/tracking/test_tracker.py."""
     session = sylpose.open_session(recording)
     frames = sylpose.track(session.frames(), session.rig, session.boxes, method=method, features=features)
-    assert [f.pose.status for f in frames] == [Status.FIRST] + [Status.TRACKED] * (FRAMES - 1)
+    assert [f.pose.status for f in frames] == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)

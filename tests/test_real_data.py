@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.capture import open_session
 from sylpose.numerics.arrays import FloatArray
-from sylpose.results import FramePose, Status
+from sylpose.results import FramePose, FrameStatus
 from sylpose.tracking.tracker import track
 from tests.where import DATA
 
@@ -69,7 +69,7 @@ def test_temple() -> None:
     """Four cameras of a gantry, seven frames, 46 degrees of turn, no boxes."""
     folder = recording("temple")
     poses = run(folder)
-    assert [pose.status for pose in poses] == [Status.FIRST] + [Status.TRACKED] * 6
+    assert [pose.status for pose in poses] == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 6
     result = score(poses, folder)
     assert result.found == 7
     assert result.degrees[-1] <= 0.5
@@ -103,7 +103,7 @@ def test_the_score_is_of_motion_since_the_start() -> None:
         nothing = np.zeros((6, 6)), np.zeros(4, np.int64), np.zeros(4)
         last = len(rows) - 1
         return [
-            FramePose(k, rows[k, 0], Status.TRACKED, error * found[k] if k == last else found[k], *nothing)
+            FramePose(k, rows[k, 0], FrameStatus.TRACKED, error * found[k] if k == last else found[k], *nothing)
             for k in range(len(rows))
         ]
 

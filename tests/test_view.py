@@ -16,7 +16,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import covariance_of
 from sylpose.paper.depth_plane import solve_depth_plane
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
-from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory
+from sylpose.results import FramePose, FrameStatus, Motion, RotationEstimate, Status, Trajectory
 from sylpose.rig import camera_at
 from sylpose.simulate import ellipsoid, random_motion, ring, simulate_matches
 from sylpose.two_frames.motion import estimate_motion
@@ -53,7 +53,7 @@ def motion_with(
     )
 
 
-def pose_with(rng: np.random.Generator, index: int, status: Status = Status.TRACKED) -> FramePose:
+def pose_with(rng: np.random.Generator, index: int, status: FrameStatus = FrameStatus.TRACKED) -> FramePose:
     found = status.has_pose
     covariance = covariance_of(random_information(rng) if found else np.zeros((6, 6)))
     pose = random_transform(rng) if found else None
@@ -279,7 +279,8 @@ def test_the_motion_between_two_viewed_poses_is_the_viewed_motion() -> None:
 def test_a_viewed_trajectory_goes_through_the_writers(tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     camera = random_transform(rng)
-    frames = [pose_with(rng, 0), pose_with(rng, 1, Status.LOST), pose_with(rng, 2, Status.COASTING), pose_with(rng, 3)]
+    statuses = (FrameStatus.TRACKED, FrameStatus.LOST, FrameStatus.COASTING, FrameStatus.TRACKED)
+    frames = [pose_with(rng, k, status) for k, status in enumerate(statuses)]
     seen = trajectory_view(Trajectory(frames, ["a", "b"], "m"), camera)
     assert seen.unit == "m"
     assert seen.camera_names == ("a", "b")

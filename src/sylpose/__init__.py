@@ -42,7 +42,15 @@ if TYPE_CHECKING:
     from sylpose.paper.equation import SingularSylvesterError, solve_generalized_sylvester, solve_sylvester
     from sylpose.paper.known_depth import KnownDepthSolution, solve_2d3d, solve_3d3d
     from sylpose.paper.one_camera import OneCameraSolution, solve_one_camera
-    from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory
+    from sylpose.results import (
+        FramePose,
+        FrameStatus,
+        Motion,
+        Observable,
+        RotationEstimate,
+        Status,
+        Trajectory,
+    )
     from sylpose.rig import Camera, Rig
     from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
     from sylpose.tracking.tracker import track
@@ -64,12 +72,14 @@ __all__ = [
     "Fault",
     "FramePose",
     "FrameSet",
+    "FrameStatus",
     "Grab",
     "KnownDepthSolution",
     "LiveSession",
     "Matches",
     "Motion",
     "MotionView",
+    "Observable",
     "OneCameraSolution",
     "PairMoments",
     "Rig",
@@ -137,7 +147,7 @@ _HOMES = {
     "sylpose.paper.equation": ("SingularSylvesterError", "solve_generalized_sylvester", "solve_sylvester"),
     "sylpose.paper.known_depth": ("KnownDepthSolution", "solve_2d3d", "solve_3d3d"),
     "sylpose.paper.one_camera": ("OneCameraSolution", "solve_one_camera"),
-    "sylpose.results": ("FramePose", "Motion", "RotationEstimate", "Status", "Trajectory"),
+    "sylpose.results": ("FramePose", "FrameStatus", "Motion", "Observable", "RotationEstimate", "Status", "Trajectory"),
     "sylpose.rig": ("Camera", "Rig"),
     "sylpose.tracking.tracked_frame": ("Sightings", "TrackedFrame"),
     "sylpose.tracking.tracker": ("track",),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -12,18 +12,22 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.matrices import covariance_of
 
-__all__ = ["FramePose", "Motion", "RotationEstimate", "Status", "Trajectory", "pan_tilt_roll"]
+__all__ = [
+    "FramePose",
+    "FrameStatus",
+    "Motion",
+    "Observable",
+    "RotationEstimate",
+    "Status",
+    "Trajectory",
+    "pan_tilt_roll",
+]
 
 
 class Status(Enum):
     """What an estimator says about its own answer. `status.text` is a sentence for people."""
 
     OK = "ok"
-    FIRST = "first frame"
-    TRACKED = "tracked"
-    RELOCALISED = "relocalised"
-    COASTING = "coasting"
-    LOST = "lost"
     TOO_FEW_MATCHES = "too few matches"
     SCALE_NOT_OBSERVABLE = "scale not observable"
     TURN_NOT_OBSERVABLE = "turn not observable"
@@ -40,16 +44,11 @@ class Status(Enum):
     @property
     def has_pose(self) -> bool:
         """Whether a result of this status carries an answer that may be used."""
-        return self in _WITH_POSE
+        return self in (Status.OK, Status.SCALE_NOT_OBSERVABLE, Status.NO_MOTION, Status.NOT_CERTIFIED)
 
 
 _TEXTS = {
     Status.OK: "Everything that was asked for was found.",
-    Status.FIRST: "The first frame with the object: the pose that all others are relative to.",
-    Status.TRACKED: "The object was followed from the frame before.",
-    Status.RELOCALISED: "The object was found again, by what was learnt of it before.",
-    Status.COASTING: "The object was not found; it is taken to go on as it did, with growing uncertainty.",
-    Status.LOST: "The object was not found, for too long to say where it may be.",
     Status.TOO_FEW_MATCHES: "Too few matches on the object in all cameras together.",
     Status.SCALE_NOT_OBSERVABLE: "The turn and the translation's direction were found; how far it moved cannot be seen "
     "(one camera, or a translation without a turn).",
@@ -59,15 +58,58 @@ _TEXTS = {
     Status.NOT_CONVERGED: "The solver did not settle within its bound of iterations.",
     Status.NOT_CONSISTENT: "No single rigid motion explains enough of the matches.",
 }
-_WITH_POSE = {
-    Status.OK,
-    Status.FIRST,
-    Status.TRACKED,
-    Status.RELOCALISED,
-    Status.COASTING,
-    Status.SCALE_NOT_OBSERVABLE,
-    Status.NO_MOTION,
-    Status.NOT_CERTIFIED,
+
+
+class FrameStatus(Enum):
+    """What happened to a frame in the tracker. `status.text` is a sentence for people."""
+
+    FIRST = "first frame"
+    TRACKED = "tracked"
+    RELOCALISED = "relocalised"
+    COASTING = "coasting"
+    LOST = "lost"
+    TOO_FEW_MATCHES = "too few matches"
+    NO_MOTION = "no motion"
+    NOT_CONSISTENT = "no consistent motion"
+
+    @property
+    def text(self) -> str:
+        """One sentence that says what the status means."""
+        return _FRAME_TEXTS[self]
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether a frame of this status has a pose."""
+        return self in (FrameStatus.FIRST, FrameStatus.TRACKED, FrameStatus.RELOCALISED, FrameStatus.COASTING)
+
+
+_FRAME_TEXTS = {
+    FrameStatus.FIRST: "The first frame with the object: the pose that all others are relative to.",
+    FrameStatus.TRACKED: "The object was followed from the frame before.",
+    FrameStatus.RELOCALISED: "The object was found again, by what was learnt of it before.",
+    FrameStatus.COASTING: "The object was not found; it is taken to go on as it did, with growing uncertainty.",
+    FrameStatus.LOST: "The object was not found, for too long to say where it may be.",
+    FrameStatus.TOO_FEW_MATCHES: "Too few features on the object in all cameras together, to begin with.",
+    FrameStatus.NO_MOTION: "Nothing moved yet that could be taken for the object: its pose is not known.",
+    FrameStatus.NOT_CONSISTENT: "What moved was no rigid body, or not for long: its pose is not known.",
+}
+
+
+class Observable(Enum):
+    """What of a frame's pose can be seen. `observable.text` is a sentence for people."""
+
+    ALL = "all"
+    NO_SCALE = "scale not observable"
+
+    @property
+    def text(self) -> str:
+        """One sentence that says what it means."""
+        return _OBSERVABLE_TEXTS[self]
+
+
+_OBSERVABLE_TEXTS = {
+    Observable.ALL: "The whole pose can be seen.",
+    Observable.NO_SCALE: "With one camera, lengths are in units of the object's first distance.",
 }
 
 
@@ -148,25 +190,32 @@ class FramePose:
     Attributes:
         index: frame number in the recording.
         time: seconds, or the frame number for image folders without time stamps.
-        status: see `Status`; when `not status.has_pose`, `world_from_object` is None.
+        status: what happened to the frame; when `not status.has_pose`, `world_from_object` is None.
         world_from_object: the pose.
         covariance: (6, 6) of (w, d), docs/conventions.md; zero in the first frame, whose pose is the definition.
         inliers: (C,) matches used per camera.
         residuals: (C,) rms residual of the inliers per camera, pixels; NaN without inliers.
+        observable: what of the pose can be seen.
+        doubt: (C,) 1, or more for a camera that disagrees with the others: what it says has so many times the variance that
+            its matches give it; infinite for one of whose matches next to none agree; NaN where it is not known.
+        faults: a sentence for each camera that is recognised to be at fault.
     """
 
     index: int
     time: float
-    status: Status
+    status: FrameStatus
     world_from_object: RigidTransform | None
     covariance: FloatArray
     inliers: IntArray
     residuals: FloatArray
+    observable: Observable = Observable.ALL
+    doubt: FloatArray = field(default_factory=lambda: np.empty(0))
+    faults: tuple[str, ...] = ()
 
     @property
     def measured(self) -> bool:
         """Whether the pose was found in this frame's images: False without one, and where it is carried on only."""
-        return self.world_from_object is not None and self.status is not Status.COASTING
+        return self.world_from_object is not None and self.status is not FrameStatus.COASTING
 
     @property
     def sigma(self) -> FloatArray:

@@ -24,7 +24,7 @@ from sylpose.capture.streams import Grab
 from sylpose.cli import main
 from sylpose.numerics.arrays import Image
 from sylpose.report.files import read_trajectory
-from sylpose.results import Status, Trajectory
+from sylpose.results import FrameStatus, Trajectory
 from sylpose.sync.offsets import load_offsets
 from tests.conftest import FRAMES
 
@@ -52,9 +52,9 @@ def test_the_summary_counts_what_was_measured(
 ) -> None:
     run = track_session(open_session(recording), tmp_path, stop=6, overlay=False)
     frames = [*run.trajectory]
-    frames[3] = replace(frames[3], status=Status.COASTING)
-    frames[4] = replace(frames[4], status=Status.LOST, world_from_object=None)
-    frames[5] = replace(frames[5], status=Status.RELOCALISED)
+    frames[3] = replace(frames[3], status=FrameStatus.COASTING)
+    frames[4] = replace(frames[4], status=FrameStatus.LOST, world_from_object=None)
+    frames[5] = replace(frames[5], status=FrameStatus.RELOCALISED)
     said = Run({"object": Trajectory(frames, run.trajectory.camera_names)}, run.files, (), run.seconds)
     text.print_summary(text.make_console(), said, 6)
     assert "4 of 6 frames (1 relocalised), coasting 1, lost 1" in capsys.readouterr().out

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose import calibration
 from sylpose.cli import main
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
-from sylpose.results import FramePose, Status
+from sylpose.results import FramePose, FrameStatus
 from sylpose.rig import Rig
 from sylpose.simulate import ring
 
@@ -24,7 +24,9 @@ def session(tmp_path: Path) -> Path:
     with TrajectoryWriter(tmp_path / "sylpose", rig.names, "m") as writer:
         for k in range(4):
             pose = RigidTransform.from_components([0.01 * k, 0.02, 0.0], Rotation.from_rotvec([0, 0.1 * k, 0]))
-            writer.write(FramePose(k, k / 30, Status.TRACKED, pose, 1e-6 * np.eye(6), np.full(3, 9), np.full(3, 0.2)))
+            writer.write(
+                FramePose(k, k / 30, FrameStatus.TRACKED, pose, 1e-6 * np.eye(6), np.full(3, 9), np.full(3, 0.2))
+            )
     return tmp_path
 
 

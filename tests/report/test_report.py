@@ -23,7 +23,7 @@ from sylpose.report.files import TrajectoryWriter, output_folder, read_trajector
 from sylpose.report.overlay import OverlayWriter, Shown
 from sylpose.report.plots import plot_trajectory, summary
 from sylpose.report.rigview import describe_rig, meeting_point, plot_rig, view_axes
-from sylpose.results import FramePose, Status, Trajectory
+from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 from sylpose.rig import Camera, Rig
 from tests.where import DATA
 
@@ -34,7 +34,7 @@ NAMES = ("left", "right, upper")
 def frame_pose(
     index: int,
     pose: RigidTransform | None,
-    status: Status = Status.TRACKED,
+    status: FrameStatus = FrameStatus.TRACKED,
     sigma: float = 0.01,
     cameras: int = 2,
     time: float | None = None,
@@ -53,16 +53,16 @@ def frame_pose(
 
 def turning(n: int, degrees: float, axis: str = "y", cameras: int = 2) -> Trajectory:
     """Turns by `degrees` per frame; frame 2 has no pose, of frame 3 the displacement is not known."""
-    frames = [frame_pose(0, RigidTransform.from_translation([0, 0, 2.0]), Status.FIRST, sigma=0, cameras=cameras)]
+    frames = [frame_pose(0, RigidTransform.from_translation([0, 0, 2.0]), FrameStatus.FIRST, sigma=0, cameras=cameras)]
     for i in range(1, n):
         pose = RigidTransform.from_components(
             [0.01 * i, 0, 2], Rotation.from_rotvec(np.radians(degrees) * i * np.eye(3)["xyz".index(axis)])
         )
-        status = Status.SCALE_NOT_OBSERVABLE if i == 3 else Status.TRACKED
-        frame = frame_pose(i, pose, status, cameras=cameras)
+        frame = frame_pose(i, pose, cameras=cameras)
         if i == 2:
-            frame = frame_pose(i, None, Status.TOO_FEW_MATCHES, cameras=cameras)
+            frame = frame_pose(i, None, FrameStatus.TOO_FEW_MATCHES, cameras=cameras)
         if i == 3:
+            frame = replace(frame, observable=Observable.NO_SCALE)
             frame.covariance[range(3, 6), range(3, 6)] = np.inf
         frames.append(frame)
     return Trajectory(frames, [f"cam_{i}" for i in range(cameras)], "m")
@@ -269,7 +269,7 @@ def test_report_of_any_length(tmp_path: Path, n: int) -> None:
 
 
 def test_report_without_any_pose(tmp_path: Path) -> None:
-    lost = Trajectory([frame_pose(i, None, Status.NOT_CONVERGED) for i in range(4)], NAMES)
+    lost = Trajectory([frame_pose(i, None, FrameStatus.NO_MOTION) for i in range(4)], NAMES)
     plot_trajectory(lost, tmp_path / "report.png")
     assert summary(lost) == "0 of 4 frames with a pose"
     with pytest.raises(ValueError, match="no frames"):
@@ -286,7 +286,7 @@ def test_summary_says_what_is_known() -> None:
 
 def test_coasting_is_told_from_measuring(tmp_path: Path) -> None:
     frames = list(turning(10, 10))
-    frames[5:7] = [replace(frame, status=Status.COASTING) for frame in frames[4:6]]
+    frames[5:7] = [replace(frame, status=FrameStatus.COASTING) for frame in frames[4:6]]
     trajectory = Trajectory(frames, NAMES, "m")
     assert "coasting in 2" in summary(trajectory)
     plot_trajectory(trajectory, tmp_path / "report.png")
@@ -309,7 +309,7 @@ def test_bands_of_pan_tilt_roll_agree_with_sampling() -> None:
     covariance[:3, :3] = 1e-6 * half @ half.T
     rotation = Rotation.from_euler("YXZ", [0.7, -1.1, 2.0])
     pose = FramePose(
-        1, 0.0, Status.TRACKED, RigidTransform.from_rotation(rotation), covariance, np.array([9]), np.array([0.1])
+        1, 0.0, FrameStatus.TRACKED, RigidTransform.from_rotation(rotation), covariance, np.array([9]), np.array([0.1])
     )
     w = rng.multivariate_normal(np.zeros(3), covariance[:3, :3], size=20_000)
     sampled = (Rotation.from_rotvec(w) * rotation).as_euler("YXZ").std(axis=0)
@@ -416,7 +416,7 @@ def test_coasting_axes_are_pale_and_dashed(tmp_path: Path) -> None:
     rig = ring(3, 1)
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
         measured = writer.draw(blank(rig), CENTERED, [None] * 3, 0.3)
-        coasting = writer.draw(blank(rig), replace(CENTERED, status=Status.COASTING), [None] * 3, 0.3)
+        coasting = writer.draw(blank(rig), replace(CENTERED, status=FrameStatus.COASTING), [None] * 3, 0.3)
     for color in drawing.AXIS_COLORS:
         assert n_painted(measured, color) > 50 > n_painted(coasting, color)
     assert not np.array_equal(coasting, writer.draw(blank(rig), frame_pose(4, None, cameras=3), [None] * 3, 0.3))
@@ -425,7 +425,7 @@ def test_coasting_axes_are_pale_and_dashed(tmp_path: Path) -> None:
 def test_overlay_of_several_objects(tmp_path: Path) -> None:
     rig = ring(3, 1)
     region = [np.array([[10.0, 10], [90, 10], [50, 80]])] * 3
-    lost = frame_pose(4, None, Status.LOST, cameras=3)
+    lost = frame_pose(4, None, FrameStatus.LOST, cameras=3)
     mug = Shown("mug", CENTERED, [None] * 3, 0.3, region, overlay.object_color(0))
     objects = [mug, Shown("tray", lost, [None] * 3, np.nan, color=overlay.object_color(1))]
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
@@ -444,7 +444,7 @@ def test_a_pose_behind_or_on_a_camera_draws_nothing_and_does_no_harm(tmp_path: P
         for place in (rig.cameras[0].center, 3 * rig.cameras[0].center, np.full(3, 1e12)):
             pose = frame_pose(1, RigidTransform.from_translation(place), cameras=3)
             writer.write(blank(rig), pose, [(np.empty((0, 2)), np.empty((0, 2)))] * 3, 0.5)
-        writer.write(blank(rig), frame_pose(2, None, Status.NOT_CONSISTENT, cameras=3), [None] * 3, 0.5)
+        writer.write(blank(rig), frame_pose(2, None, FrameStatus.NOT_CONSISTENT, cameras=3), [None] * 3, 0.5)
     assert len(overlay_frames(tmp_path / "o.mp4")) == 4
 
 

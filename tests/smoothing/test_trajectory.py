@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray
-from sylpose.results import FramePose, Status
+from sylpose.results import FramePose, FrameStatus, Status
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
 from sylpose.smoothing.trajectory import Smoothed, Track, _worth_using, smooth
@@ -51,14 +51,14 @@ def tracked(
             found = RigidTransform.from_components(
                 pose.translation + 0.002 * rng.standard_normal(3), shake * pose.rotation
             )
-        status = Status.FIRST if k == 0 else Status.TRACKED
+        status = FrameStatus.FIRST if k == 0 else FrameStatus.TRACKED
         sights: tuple[Sightings, ...] = tuple(
             see(pose, c, rig, noise_px, rng, len(POINTS) * (c + len(rig) * (k >= apart_from))) for c in range(len(rig))
         )
         if k in coasting:
-            status, sights = Status.COASTING, ()
+            status, sights = FrameStatus.COASTING, ()
         if k in lost:
-            status, sights = Status.LOST, ()
+            status, sights = FrameStatus.LOST, ()
         here = FramePose(
             k,
             k / 30.0,
@@ -133,7 +133,7 @@ def test_one_camera() -> None:
 def test_coasting_frames_go_between_their_neighbours() -> None:
     gap = (9, 10, 11, 12)
     found = smooth(tracked(coasting=gap), RIG)
-    assert [found.poses[k].status for k in gap] == [Status.COASTING] * 4
+    assert [found.poses[k].status for k in gap] == [FrameStatus.COASTING] * 4
     e = errors(found)
     assert np.abs(e[list(gap), :3]).max() < np.deg2rad(0.1)  # the tracker's were off by 0.3 degrees
     assert np.abs(e[list(gap), 3:]).max() < 1e-3

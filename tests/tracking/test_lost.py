@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import Image
-from sylpose.results import Status
+from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, chamfered_box
 from sylpose.tracking.tracker import track
@@ -46,7 +46,7 @@ def test_a_camera_without_some_frames(clip: Clip) -> None:
     images = [(a, None if k in (0, 4, 5) else b, c) for k, (a, b, c) in enumerate(clip.images)]
     for boxes in ({k: v for k, v in clip.boxes.items() if k != "cam_1"}, None):
         tracked = list(track(frame_sets(images), clip.rig, boxes))
-        assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * (FRAMES - 1)
+        assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
         error = errors(tracked, clip.truth)
         assert error[:, 0].max() < HALF_DEGREE
         assert error[:, 1].max() < 2.5
@@ -59,7 +59,7 @@ def test_a_camera_without_some_frames(clip: Clip) -> None:
 def test_a_black_camera(clip: Clip) -> None:
     images = [(a, np.zeros_like(b), c) for a, b, c in clip.images]
     tracked = list(track(frame_sets(images), clip.rig, clip.boxes))
-    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * (FRAMES - 1)
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
     assert errors(tracked, clip.truth)[:, 0].max() < 0.8
     assert not inliers(tracked)[:, 1].any()
     assert_valid(tracked)
@@ -70,7 +70,7 @@ def test_a_camera_that_shows_something_else(clip: Clip) -> None:
     noise = [rng.integers(0, 255, (240, 320, 3)).astype(np.uint8) for _ in clip.images]
     images = [(a, n, c) for (a, _, c), n in zip(clip.images, noise, strict=True)]
     tracked = list(track(frame_sets(images), clip.rig, clip.boxes))
-    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * (FRAMES - 1)
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
     assert errors(tracked, clip.truth)[:, 0].max() < 0.8
 
 
@@ -79,8 +79,8 @@ def test_all_cameras_gone_for_a_while(clip: Clip, method: str) -> None:
     gone = (4, 5)
     images: list[Images] = [(None,) * 3 if k in gone else frame for k, frame in enumerate(clip.images)]
     tracked = list(track(frame_sets(images), clip.rig, clip.boxes, method=method))
-    expected = [*[Status.TRACKED] * 3, *[Status.COASTING] * 2, Status.RELOCALISED, Status.TRACKED]
-    assert statuses(tracked) == [Status.FIRST, *expected]
+    expected = [*[FrameStatus.TRACKED] * 3, *[FrameStatus.COASTING] * 2, FrameStatus.RELOCALISED, FrameStatus.TRACKED]
+    assert statuses(tracked) == [FrameStatus.FIRST, *expected]
     assert_valid(tracked)
     assert np.median(errors(tracked, clip.truth)[:, 0]) < HALF_DEGREE
 
@@ -89,7 +89,7 @@ def test_all_cameras_gone_for_a_while(clip: Clip, method: str) -> None:
 def test_nothing_to_be_seen_at_first(clip: Clip, nothing: Image | None, with_boxes: bool) -> None:
     images: list[Images] = [(nothing,) * 3, (nothing,) * 3, *clip.images[:4]]
     tracked = list(track(frame_sets(images), clip.rig, clip.boxes if with_boxes else None))
-    assert statuses(tracked) == [Status.TOO_FEW_MATCHES] * 2 + [Status.FIRST] + [Status.TRACKED] * 3
+    assert statuses(tracked) == [FrameStatus.TOO_FEW_MATCHES] * 2 + [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 3
     found = [replace(f, pose=replace(f.pose, index=f.pose.index - 2)) for f in tracked[2:]]
     assert errors(found, clip.truth)[:, 0].max() < HALF_DEGREE
 
@@ -118,7 +118,7 @@ def test_an_object_that_comes_into_view_of_a_camera(clip: Clip) -> None:
     images = [(a, np.ascontiguousarray(b[:, part]), c) for a, b, c in clip.images]
     boxes = {name: box for name, box in clip.boxes.items() if name != narrow.name}
     tracked = list(track(frame_sets(images), rig, boxes))
-    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * (FRAMES - 1)
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
     assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
     seen = inliers(tracked)[:, 1]
     assert seen[1] < 5
@@ -132,7 +132,7 @@ def test_two_cameras_with_boxes(clip: Clip, names: tuple[str, str]) -> None:
     picked = [clip.rig.names.index(name) for name in names]
     images = [tuple(frame[c] for c in picked) for frame in clip.images[:5]]
     tracked = list(track(frame_sets(images), rig, {name: clip.boxes[name] for name in names}))
-    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * 4
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 4
     assert errors(tracked, clip.truth)[:, 0].max() < (0.5 if names[1] == "cam_2" else 2)
 
 
@@ -154,11 +154,11 @@ def test_all_cameras_covered_for_a_few_frames(features: str, back: int, most_deg
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, features=features))
     # Found again at once by SIFT's three keyframes. KLT has made one only, 36 degrees ago: it waits a frame for more.
     assert statuses(tracked) == [
-        Status.FIRST,
-        *[Status.TRACKED] * 6,
-        *[Status.COASTING] * (back - 7),
-        Status.RELOCALISED,
-        *[Status.TRACKED] * (17 - back),
+        FrameStatus.FIRST,
+        *[FrameStatus.TRACKED] * 6,
+        *[FrameStatus.COASTING] * (back - 7),
+        FrameStatus.RELOCALISED,
+        *[FrameStatus.TRACKED] * (17 - back),
     ]
     assert_valid(tracked)
     error = errors(tracked, clip.truth)
@@ -183,13 +183,13 @@ def test_all_cameras_covered_for_long() -> None:
     clip = Clip.render(moving_scene(path, 30, [board_before(camera, first, last) for camera in rig]))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
     hidden = statuses(tracked)[first : last + 1]
-    n = hidden.index(Status.LOST)
+    n = hidden.index(FrameStatus.LOST)
     assert n >= 3
-    assert hidden == [Status.COASTING] * n + [Status.LOST] * (len(hidden) - n)
+    assert hidden == [FrameStatus.COASTING] * n + [FrameStatus.LOST] * (len(hidden) - n)
     assert all(f.pose.world_from_object is None for f in tracked[first + n : last + 1])
-    found = statuses(tracked)[last + 1 :].index(Status.RELOCALISED)
+    found = statuses(tracked)[last + 1 :].index(FrameStatus.RELOCALISED)
     assert found < 3
-    assert statuses(tracked)[last + 2 + found :] == [Status.TRACKED] * (30 - last - 2 - found)
+    assert statuses(tracked)[last + 2 + found :] == [FrameStatus.TRACKED] * (30 - last - 2 - found)
     assert errors(tracked, clip.truth)[-(30 - last - 1 - found) :, 0].max() < 0.8
     assert_valid(tracked)
 
@@ -199,7 +199,7 @@ def test_half_of_the_cameras_covered() -> None:
     boards = [board_before(rig.cameras[c], 7, 12) for c in (0, 2)]
     clip = Clip.render(moving_scene(drifting, 18, boards))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
-    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * 17
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 17
     seen = inliers(tracked)
     assert seen[7:13, [0, 2]].max() < 20
     assert (seen[7:13, [1, 3]] > 40).all()
@@ -219,12 +219,12 @@ def test_leaving_and_coming_back() -> None:
     clip = Clip.render(moving_scene(leaving, 28))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
     found = statuses(tracked)
-    assert found[:7] == [Status.FIRST] + [Status.TRACKED] * 6
-    assert Status.LOST in found[10:18]
-    assert set(found[11:18]) <= {Status.COASTING, Status.LOST}
-    back = found.index(Status.RELOCALISED)
+    assert found[:7] == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 6
+    assert FrameStatus.LOST in found[10:18]
+    assert set(found[11:18]) <= {FrameStatus.COASTING, FrameStatus.LOST}
+    back = found.index(FrameStatus.RELOCALISED)
     assert back <= 22 + 2
-    assert set(found[back + 1 :]) == {Status.TRACKED}
+    assert set(found[back + 1 :]) == {FrameStatus.TRACKED}
     after = [f for f in tracked if f.pose.index == 0 or f.pose.index > 24]
     assert errors(after, clip.truth)[:, 0].max() < 0.8
     assert_valid(tracked)
@@ -240,7 +240,7 @@ def test_a_jump(steady: int) -> None:
 
     clip = Clip.render(moving_scene(path, steady + 4))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
-    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * (steady + 3)
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (steady + 3)
     error = errors(tracked, clip.truth)
     assert error[:, 0].max() < HALF_DEGREE
     assert error[:, 1].max() < 2
@@ -258,7 +258,7 @@ def test_something_passes_in_front(sides: tuple[float, float, float]) -> None:
 
     clip = Clip.render(moving_scene(drifting, 20, [Actor(slab(sides, 30), crossing)]))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
-    assert statuses(tracked) == [Status.FIRST] + [Status.TRACKED] * 19
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 19
     error = errors(tracked, clip.truth)
     assert error[:, 0].max() < 0.8
     assert error[:, 1].max() < 4
@@ -278,7 +278,7 @@ def test_another_body_in_its_place_is_not_taken_for_it(gap: int, seed: int) -> N
 
     clip = Clip.render(moving_scene(path, 12 + gap, [Actor(other, others)]))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
-    assert set(statuses(tracked[8:])) <= {Status.COASTING, Status.LOST}
+    assert set(statuses(tracked[8:])) <= {FrameStatus.COASTING, FrameStatus.LOST}
 
 
 def test_an_unknown_side_is_not_taken_for_a_known_one() -> None:
@@ -291,7 +291,7 @@ def test_an_unknown_side_is_not_taken_for_a_known_one() -> None:
 
     clip = Clip.render(moving_scene(path, 16, n_cameras=3))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
-    assert set(statuses(tracked[8:])) <= {Status.COASTING, Status.LOST}
+    assert set(statuses(tracked[8:])) <= {FrameStatus.COASTING, FrameStatus.LOST}
 
 
 def test_a_camera_that_comes_back_takes_part_at_once(clip: Clip) -> None:

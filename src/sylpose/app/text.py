@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from sylpose.results import FramePose, Status, Trajectory
+from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 
 if TYPE_CHECKING:  # loading these takes a second
     from sylpose.app.run import Run
@@ -173,7 +173,7 @@ class TrackingProgress:
         """One frame of one object more."""
         self._updates += 1
         pose = tracked.pose
-        measured = pose.measured and pose.status is not Status.FIRST
+        measured = pose.measured and pose.status is not FrameStatus.FIRST
         inliers = f"{int(pose.inliers.sum())} inliers" if measured else pose.status.value
         elapsed = self._progress.tasks[0].elapsed
         rate = f"{self.tracked / elapsed:.1f} frames/s" if elapsed else ""
@@ -202,12 +202,12 @@ def print_summary(console: Console, run: Run, tracked: int) -> None:
 
 def solved(trajectory: Trajectory) -> list[FramePose]:
     """The frames whose pose was found and is not a definition."""
-    return [f for f in trajectory if f.measured and f.status is not Status.FIRST]
+    return [f for f in trajectory if f.measured and f.status is not FrameStatus.FIRST]
 
 
 def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
     found = int(trajectory.solved.sum())
-    again = sum(f.status is Status.RELOCALISED for f in trajectory)
+    again = sum(f.status is FrameStatus.RELOCALISED for f in trajectory)
     said = f"{found} of {len(trajectory)} frames" + (f" ({again} relocalised)" if again else "")
     rest = Counter(f.status for f in trajectory if not f.measured)
     facts = [("Tracked", ", ".join([said, *(f"{status.value} {n}" for status, n in rest.most_common())]))]
@@ -221,7 +221,7 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
     path = length(float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()), trajectory.unit)
     facts.append(("Moved", f"{moved} from the first to the last solved frame, along a path of {path}"))
     one_camera = len(trajectory.camera_names) == 1
-    open_scale = sum(f.status is Status.SCALE_NOT_OBSERVABLE for f in trajectory)
+    open_scale = sum(f.observable is Observable.NO_SCALE for f in trajectory)
     if one_camera:
         facts.append(("Scale", "not observable with one camera: lengths are in units of the object's first distance"))
     elif open_scale:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import cholesky
 
 __all__ = ["UNSEEN_SHARE", "UNSEEN_TURN", "about_a_turn", "unseen_directions"]
 
@@ -31,11 +30,11 @@ def unseen_directions(information: FloatArray, limits: FloatArray | float, *, fl
     """
     in_limits = information * (limits * limits if isinstance(limits, float) else np.outer(limits, limits))
     if information.ndim == 2:
-        # As a rule all is seen: then no eigenvectors are needed. The trace is no less than the largest eigenvalue.
-        beyond = np.array(in_limits, order="C")
-        beyond.flat[:: len(beyond) + 1] -= max(1.0, flat * float(np.trace(in_limits)))
-        if cholesky(beyond):
-            return np.empty((0, len(beyond)))
+        # As a rule all is seen: then no eigenvectors are needed. (A Cholesky factor would be faster still, and is there as
+        # well where rounding of what is seen best covers that something is not seen at all.)
+        values = np.linalg.eigvalsh(in_limits)
+        if values[0] >= max(1.0, flat * values[-1]):
+            return np.empty((0, len(in_limits)))
     values, vectors = np.linalg.eigh(in_limits)
     first = values.reshape(-1, values.shape[-1])[0]
     k = int(np.searchsorted(first, max(1.0, flat * first[-1])))

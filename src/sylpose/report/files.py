@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.results import FramePose, Status, Trajectory
+from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 
 __all__ = ["TrajectoryWriter", "WriterState", "output_folder", "read_trajectory", "read_tum", "write_tum", "writing"]
 
@@ -26,7 +26,7 @@ __all__ = ["TrajectoryWriter", "WriterState", "output_folder", "read_trajectory"
 _POSE_COLUMNS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
 _ANGLE_COLUMNS = ("pan_deg", "tilt_deg", "roll_deg")
 _SD_COLUMNS = ("rx_sd_deg", "ry_sd_deg", "rz_sd_deg", "tx_sd", "ty_sd", "tz_sd")
-_COLUMNS = ("index", "time", "status", "unit", *_POSE_COLUMNS, *_ANGLE_COLUMNS, *_SD_COLUMNS)
+_COLUMNS = ("index", "time", "status", "observable", "unit", *_POSE_COLUMNS, *_ANGLE_COLUMNS, *_SD_COLUMNS)
 _SD_TO_RADIANS = np.array([np.pi / 180] * 3 + [1.0] * 3)
 
 
@@ -75,8 +75,9 @@ class TrajectoryWriter:
 
     `trajectory.tum` has the frames in which the object was found: `time tx ty tz qx qy qz qw`, world_from_object.
     `trajectory.csv` has all frames: also status, the calibration's length unit, pan, tilt, roll in degrees, the standard
-    deviations (rotation about the world's x, y, z in degrees, then position), and per camera `inliers_NAME` and
-    `residual_px_NAME`. A cell is empty where there is no value; for a standard deviation that means unbounded.
+    deviations (rotation about the world's x, y, z in degrees, then position), per camera `inliers_NAME`,
+    `residual_px_NAME` and `doubt_NAME`, and faults of cameras. A cell is empty where there is no value; for a standard
+    deviation that means unbounded.
 
     Args:
         out_dir: made when it is not there.
@@ -107,13 +108,13 @@ class TrajectoryWriter:
         self.tum_path = folder / f"{stem}.tum"
         self.csv_path = folder / f"{stem}.csv"
         self._quaternion = None if resume is None else resume.quaternion
-        per_camera = [f"inliers_{n}" for n in camera_names] + [f"residual_px_{n}" for n in camera_names]
+        per_camera = [f"{what}_{n}" for what in ("inliers", "residual_px", "doubt") for n in camera_names]
         self._tum = _open(self.tum_path, None if resume is None else resume.tum_bytes)
         try:
             self._csv = _open(self.csv_path, None if resume is None else resume.csv_bytes)
             if resume is None:
                 self._put(self._tum, self.tum_path, _tum_header(unit, world))
-                self._put(self._csv, self.csv_path, _csv_line([*_COLUMNS, *per_camera]))
+                self._put(self._csv, self.csv_path, _csv_line([*_COLUMNS, *per_camera, "faults"]))
         except (OSError, ValueError):
             self.close()
             raise
@@ -155,11 +156,13 @@ class TrajectoryWriter:
         if pose.world_from_object is not None:
             quaternion = _continued(pose.world_from_object.rotation.as_quat(), self._quaternion)
             self._quaternion = quaternion
-        cells = [str(pose.index), _exact(pose.time), pose.status.value, self.unit]
+        doubt = pose.doubt if len(pose.doubt) else np.full(n, np.nan)
+        cells = [str(pose.index), _exact(pose.time), pose.status.value, pose.observable.value, self.unit]
         cells += [_cell(v, 12) for v in (*pose.position, *quaternion)]
         cells += [_cell(v, 9) for v in np.degrees(pose.pan_tilt_roll)]
         cells += [_cell(v, 6) for v in pose.sigma / _SD_TO_RADIANS]
         cells += [str(int(count)) for count in pose.inliers] + [_cell(v, 6) for v in pose.residuals]
+        cells += ["inf" if np.isinf(v) else _cell(v, 4) for v in doubt] + ["; ".join(pose.faults)]
         # The richer file first: with an interrupt in between, the frame is in the file that has everything.
         self._put(self._csv, self.csv_path, _csv_line(cells))
         if pose.measured:
@@ -199,7 +202,7 @@ def read_trajectory(path: Path | str) -> Trajectory:
     with path.open(encoding="utf-8-sig", newline="") as file:
         rows = csv.reader(file)
         header = next(rows, [])
-        missing = [name for name in _COLUMNS if name not in header]
+        missing = [name for name in _COLUMNS if name not in header and name != "observable"]
         names = [name.removeprefix("inliers_") for name in header if name.startswith("inliers_")]
         missing += [f"residual_px_{name}" for name in names if f"residual_px_{name}" not in header]
         if missing:
@@ -226,14 +229,20 @@ def _frame(cells: dict[str, str], names: Sequence[str]) -> FramePose:
     if not np.isnan(pose).all():
         world_from_object = _transforms(pose[None])[0]
     sigma = numbers(_SD_COLUMNS, np.inf) * _SD_TO_RADIANS
+    # Up to 0.1.0 what can be observed stood in the place of the status.
+    status_only = cells["status"] != Observable.NO_SCALE.value
+    status = FrameStatus(cells["status"]) if status_only else FrameStatus.TRACKED
     return FramePose(
         index=int(cells["index"]),
         time=float(cells["time"]),
-        status=Status(cells["status"]),
+        status=status,
         world_from_object=world_from_object,
         covariance=np.diag(sigma**2),
         inliers=np.array([int(cells[f"inliers_{name}"]) for name in names], dtype=np.int64),
         residuals=numbers([f"residual_px_{name}" for name in names], np.nan),
+        observable=Observable(cells.get("observable", Observable.ALL.value)) if status_only else Observable.NO_SCALE,
+        doubt=numbers([f"doubt_{name}" for name in names if f"doubt_{name}" in cells], np.nan),
+        faults=tuple(cells["faults"].split("; ")) if cells.get("faults") else (),
     )
 
 

@@ -18,7 +18,7 @@ from av.video.reformatter import Colorspace
 from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.report.drawing import DARK, GREY, WHITE, draw_axes, draw_matches, pen, polyline, write
 from sylpose.report.files import writing
-from sylpose.results import FramePose, Status
+from sylpose.results import FramePose, FrameStatus, Observable
 from sylpose.rig import Camera, Rig
 
 __all__ = ["OverlayWriter", "Shown", "object_color"]
@@ -295,7 +295,7 @@ def _draw_caption(tile: Image, name: str, poses: Sequence[FramePose], i: int, ha
     details = f"{count} inlier{'' if count == 1 else 's'}"
     if count and len(poses) == 1 and np.isfinite(poses[0].residuals[i]):
         details += f"  {float(poses[0].residuals[i]):.2f} px"
-    if all(pose.status is Status.FIRST for pose in poses):
+    if all(pose.status is FrameStatus.FIRST for pose in poses):
         details = ""
     if not has_image:
         details = ""
@@ -322,6 +322,8 @@ def _draw_bar(bar: Image, objects: Sequence[Shown], unit: str) -> None:
         if shown.name:
             words.append((shown.name, shown.color or WHITE, 0.25))
         words.append((shown.pose.status.value, _status_color(shown.pose), 0.5))
+        if shown.pose.observable is not Observable.ALL:
+            words.append((shown.pose.observable.value, WARN, 0.5))
     x = height * 0.3
     for text, color, gap in words:
         x += write(bar, text, (x, y), size, color) + height * gap
@@ -345,6 +347,6 @@ def _draw_bar(bar: Image, objects: Sequence[Shown], unit: str) -> None:
 
 
 def _status_color(pose: FramePose) -> Color:
-    if pose.status in (Status.OK, Status.FIRST, Status.TRACKED, Status.RELOCALISED):
-        return GOOD
-    return WARN if pose.status.has_pose else BAD
+    if not pose.status.has_pose:
+        return BAD
+    return GOOD if pose.measured and pose.observable is Observable.ALL else WARN

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.report.files import writing
-from sylpose.results import FramePose, Status, Trajectory
+from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 
 __all__ = ["camera_colors", "finish", "new_figure", "plot_trajectory", "save_figure", "summary"]
 
@@ -49,14 +49,14 @@ def summary(trajectory: Trajectory) -> str:
         raise ValueError("the trajectory has no frames")
     solved = [f for f in trajectory if f.measured]
     parts = [f"{len(solved)} of {len(trajectory)} frames with a pose"]
-    if coasting := sum(f.status is Status.COASTING for f in trajectory):
+    if coasting := sum(f.status is FrameStatus.COASTING for f in trajectory):
         parts.append(f"coasting in {coasting}")
     if solved:
         turn = trajectory.turn[trajectory.solved][-1]
         parts.append(f"turned {np.degrees(turn):.1f}° from the first to the last")
         moved = float(np.linalg.norm(solved[-1].position - solved[0].position))
         scale, unit = _readable(moved, trajectory.unit)
-        if solved[-1].status is Status.SCALE_NOT_OBSERVABLE:
+        if solved[-1].observable is Observable.NO_SCALE:
             parts.append("how far it moved is not observable")
         else:
             parts.append(f"moved {moved * scale:.3g} {unit}")
@@ -82,7 +82,7 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
         OSError: naming the file, when it cannot be written.
     """
     title = summary(trajectory)
-    solved, coasting = trajectory.solved, np.array([f.status is Status.COASTING for f in trajectory])
+    solved, coasting = trajectory.solved, np.array([f.status is FrameStatus.COASTING for f in trajectory])
     times = trajectory.times
     marker = "." if len(trajectory) <= MARKED_FRAMES else ""
     figure = new_figure(11.5, 11.5)
@@ -113,7 +113,7 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     counts = np.array([f.inliers for f in trajectory], dtype=float)
     errors = np.array([f.residuals for f in trajectory], dtype=float)
     # The first frame is matched with nothing, and coasting ones found nothing: their zeros are no measurement.
-    unmatched = np.array([f.status in (Status.FIRST, Status.COASTING) for f in trajectory])
+    unmatched = np.array([f.status in (FrameStatus.FIRST, FrameStatus.COASTING) for f in trajectory])
     counts[unmatched], errors[unmatched] = np.nan, np.nan
     for k, name in enumerate(trajectory.camera_names):
         dash = DASHES[k // len(CAMERA_COLORS) % len(DASHES)]
@@ -203,13 +203,13 @@ def _legend(panel: Axes, handles: list[Line2D] | list[Line2D | Patch]) -> None:
 
 def _shade(panels: list[Axes], trajectory: Trajectory) -> list[Patch]:
     """Strips behind frames that have no pose, coast, or do not tell how far it moved; returns legend entries."""
-    partial = np.array([f.status is Status.SCALE_NOT_OBSERVABLE for f in trajectory])
+    partial = np.array([f.observable is Observable.NO_SCALE for f in trajectory])
     entries = []
-    coasting = np.array([f.status is Status.COASTING for f in trajectory])
+    coasting = np.array([f.status is FrameStatus.COASTING for f in trajectory])
     for frames, color, label in (
         (~trajectory.solved & ~coasting, NO_POSE_COLOR, "no pose"),
         (coasting, COASTING_COLOR, "coasting: not seen, carried on"),
-        (partial, PARTIAL_COLOR, Status.SCALE_NOT_OBSERVABLE.value),
+        (partial, PARTIAL_COLOR, Observable.NO_SCALE.value),
     ):
         for start, stop in _strips(trajectory.times, frames):
             for panel in panels:

@@ -294,6 +294,7 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
     indices = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in inliers)])
     return Agreed(
         matches=len(indices),
+        tried=sum(map(len, pairs)),
         references=tuple(pair.reference for pair in pairs),
         weights=tuple(float(w.sum()) for w, _ in agreement),
         ages=Ages.of(np.concatenate([np.empty(0), *(pair.landmarks.seen for pair in inliers)])),

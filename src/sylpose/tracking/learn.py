@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray
-from sylpose.results import FramePose, Status
+from sylpose.results import FramePose, FrameStatus, Observable, Status
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.camera import SeenAgain
 from sylpose.tracking.find import Found, Region, Team
@@ -22,6 +22,7 @@ from sylpose.tracking.records import total_ages
 from sylpose.tracking.sights import usual_age
 from sylpose.tracking.start import first_motion
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame, shown, sightings, unsolved_frame
+from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.motion import motion_about
 from sylpose.two_frames.verdict import observed
 
@@ -30,6 +31,9 @@ __all__ = ["accept_first", "accepted", "not_found", "triangulated", "with_surfac
 # One camera sees a turn and its mirror image alike, with hollow for round: an object in a box is taken to be round, and its
 # middle to be nearer than its centre by this share of its radius.
 BULGE = 0.5
+# A camera of whose matches no more than this share agrees was rejected as a whole, where of another's this share does
+# (choice).
+REJECTED, HEARD = 0.2, 0.5
 # So many points show where an object's surface is.
 MIN_POINTS = 20
 
@@ -67,7 +71,7 @@ def accept_first(
         joint = replace(joint, anchor=Anchor(first))
     n = len(team.rig)
     nothing = np.zeros(n, np.int64), np.full(n, np.nan)
-    result = FramePose(frames.index, frames.time, Status.FIRST, pose, first.covariance, *nothing)
+    result = FramePose(frames.index, frames.time, FrameStatus.FIRST, pose, first.covariance, *nothing)
     seen = crew.each(lambda c: sightings([], frame.cameras[c]))
     return joint, TrackedFrame(result, frames, (None,) * n, tuple(regions), model.radius, tuple(seen), frame.late)
 
@@ -104,10 +108,10 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     if not model.bounded:
         for surface in crew.ask(lambda c: seen[c].surface):
             model = model.with_points(surface, team.seed)
-    status = Status.RELOCALISED if joint.missed else Status.TRACKED
+    status = FrameStatus.RELOCALISED if joint.missed else FrameStatus.TRACKED
     after = replace(joint, object=model).accepted(solved, found.motion, anew=found.anew)
     # Where it was found again next to nothing is known of what else is seen: the next frame asks the keyframes too.
-    if found.anew and team.follows and status is Status.TRACKED:
+    if found.anew and team.follows and status is FrameStatus.TRACKED:
         after = replace(after, anchor=Anchor(solved))
     kept, begins = set(after.known), after.anchor is not None and after.anchor.age == 0 and found.anew
 
@@ -127,16 +131,27 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     result = FramePose(
         frames.index,
         frames.time,
-        Status.SCALE_NOT_OBSERVABLE if len(team.rig) == 1 else status,
+        status,
         pose,
         covariance,
         np.array([a.features for a in found.agreed], np.int64),
         np.array([a.residual_px for a in found.agreed]),
+        Observable.NO_SCALE if len(team.rig) == 1 else Observable.ALL,
+        _doubt(found),
+        solution.faults,
     )
     matches, seen_now = crew.each(lambda c: learnt[c][0]), crew.each(lambda c: learnt[c][1])
     return after, TrackedFrame(
         result, frames, tuple(matches), tuple(found.regions), model.radius, tuple(seen_now), frame.late
     )
+
+
+def _doubt(found: Found) -> FloatArray:
+    """(C,) as in `FramePose`: the solution's doubt, where there is anything of the camera to be doubted."""
+    shares = np.array([a.matches / max(a.tried, 1) for a in found.agreed])
+    asked = np.array([a.tried for a in found.agreed]) >= MIN_MATCHES
+    rejected = asked & (shares < REJECTED) & (shares.max() > HEARD)
+    return np.where(rejected, np.inf, np.where(asked, found.solution.doubt, np.nan))
 
 
 def not_found(
@@ -150,8 +165,8 @@ def not_found(
     """
     joint, covariance = joint.without(frames.time)
     if joint.lost:
-        return joint, unsolved_frame(frames, Status.LOST, regions, joint.object.radius)
-    return joint, unsolved_frame(frames, Status.COASTING, regions, joint.object.radius, ahead, covariance)
+        return joint, unsolved_frame(frames, FrameStatus.LOST, regions, joint.object.radius)
+    return joint, unsolved_frame(frames, FrameStatus.COASTING, regions, joint.object.radius, ahead, covariance)
 
 
 def with_surface(team: Team, joint: Joint, pairs: Sequence[Sequence[Pair]]) -> Joint:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
-from sylpose.results import Status
+from sylpose.results import FrameStatus, Status
 from sylpose.tracking.anchor import ANCHOR_SHARE, Followed
 from sylpose.tracking.find import (
     MAX_GROWTH,
@@ -169,7 +169,7 @@ def start(
         regions = regions_of(team, joint, RigidTransform.from_translation(model.center))
         features = team.detect(frames, regions, MAX_FEATURES)
         if sum(team.crew.ask(lambda c: len(features[c]))) < MIN_MATCHES:
-            return joint, [], [unsolved_frame(frames, Status.TOO_FEW_MATCHES, regions, model.radius)]
+            return joint, [], [unsolved_frame(frames, FrameStatus.TOO_FEW_MATCHES, regions, model.radius)]
         around = team.surroundings(frames, regions)
         frame = team.frame(number, frames, features)
         joint, first = accept_first(team, joint, frames, frame, around, model.center, regions)
@@ -177,7 +177,7 @@ def start(
     features = team.detect(frames, None, START_FEATURES)
     if not waiting and sum(team.crew.ask(lambda c: len(features[c]))) < MIN_MATCHES:
         # Later ones need something to be compared with.
-        return joint, [], [unsolved_frame(frames, Status.TOO_FEW_MATCHES)]
+        return joint, [], [unsolved_frame(frames, FrameStatus.TOO_FEW_MATCHES)]
     current = Waiting(team.frame(number, frames, features), frames)
     if waiting:
         pairs = _matched_with_first(team, waiting[0].frame, current.frame)
@@ -186,7 +186,7 @@ def start(
             return _begun(team, [*waiting, current], pairs, found)
     if len(waiting) < PATIENCE:
         return joint, [*waiting, current], []
-    return joint, [*waiting[1:], current], [unsolved_frame(waiting[0].frames, Status.NO_MOTION)]
+    return joint, [*waiting[1:], current], [unsolved_frame(waiting[0].frames, FrameStatus.NO_MOTION)]
 
 
 def _matched_with_first(team: Team, first: Frame, current: Frame) -> list[list[Pair]]:
@@ -234,7 +234,7 @@ def _begun(
     if not any(frame.pose.measured for frame in decided[1:]):
         # What moved was no rigid body, or not for long: wait for another motion.
         crew.each(lambda c: team.parts[c].forget())
-        return Joint(), list(others), [unsolved_frame(first_frames, Status.NOT_CONSISTENT)]
+        return Joint(), list(others), [unsolved_frame(first_frames, FrameStatus.NOT_CONSISTENT)]
     if is_ambiguous(crew, rig, pairs, first.number, found, team.rng()):
         decided[0] = replace(decided[0], note=AMBIGUOUS)
     return joint, [], decided

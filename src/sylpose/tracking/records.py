@@ -110,7 +110,7 @@ class Agreed:
     """What of one camera's matches agrees with the frame's pose.
 
     Attributes:
-        matches: number of inliers.
+        matches: number of inliers, of so many matches that were tried.
         references: numbers of the frames they are matches with, and weights: the sum of each one's weights.
         ages: of the inliers' landmarks.
         features: number of features that are inliers.
@@ -119,6 +119,7 @@ class Agreed:
     """
 
     matches: int
+    tried: int
     references: tuple[int, ...]
     weights: tuple[float, ...]
     ages: Ages

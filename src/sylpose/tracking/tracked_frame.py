@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.results import FramePose, Status
+from sylpose.results import FramePose, FrameStatus
 from sylpose.tracking.frame import CameraFrame, Pair
 
 __all__ = ["Sightings", "TrackedFrame", "shown", "sightings", "unsolved_frame"]
@@ -85,7 +85,7 @@ def sightings(inliers: Sequence[Pair], current: CameraFrame) -> Sightings:
 
 def unsolved_frame(
     frames: FrameSet,
-    status: Status,
+    status: FrameStatus,
     regions: Sequence[FloatArray | None] | None = None,
     radius: float = np.nan,
     world_from_object: RigidTransform | None = None,

@@ -9,7 +9,7 @@ import numpy as np
 
 from sylpose.frames import Box, FrameSet
 from sylpose.methods import FEATURES, METHODS, features_of
-from sylpose.results import Status
+from sylpose.results import FrameStatus
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.crew import OneProcess
@@ -122,4 +122,4 @@ class Tracker:
     def flush(self) -> list[TrackedFrame]:
         """The frames still undecided at the recording's end: the object never moved."""
         waiting, self._waiting = self._waiting, []
-        return [unsolved_frame(waited.frames, Status.NO_MOTION) for waited in waiting]
+        return [unsolved_frame(waited.frames, FrameStatus.NO_MOTION) for waited in waiting]
