@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from sylpose.report.disagreement import remarks
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 
 if TYPE_CHECKING:  # loading these takes a second
@@ -226,6 +227,7 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
         facts.append(("Scale", "not observable with one camera: lengths are in units of the object's first distance"))
     elif open_scale:
         facts.append(("Scale", f"not observable in {open_scale} frames: how far the object moved in them is not known"))
+    facts += [("" if k else "Cameras", remark) for k, remark in enumerate(remarks(trajectory))]
     return facts
 
 

@@ -16,6 +16,7 @@ from av.codec.codec import UnknownCodecError
 from av.video.reformatter import Colorspace
 
 from sylpose.numerics.arrays import FloatArray, Image
+from sylpose.report.disagreement import DOUBTED
 from sylpose.report.drawing import DARK, GREY, WHITE, draw_axes, draw_matches, pen, polyline, write
 from sylpose.report.files import writing
 from sylpose.results import FramePose, FrameStatus, Observable
@@ -295,6 +296,9 @@ def _draw_caption(tile: Image, name: str, poses: Sequence[FramePose], i: int, ha
     details = f"{count} inlier{'' if count == 1 else 's'}"
     if count and len(poses) == 1 and np.isfinite(poses[0].residuals[i]):
         details += f"  {float(poses[0].residuals[i]):.2f} px"
+    color = GOOD if count else GREY
+    if len(poses) == 1 and len(poses[0].doubt) and poses[0].doubt[i] > DOUBTED:
+        details, color = f"{details}  doubted", WARN
     if all(pose.status is FrameStatus.FIRST for pose in poses):
         details = ""
     if not has_image:
@@ -306,7 +310,7 @@ def _draw_caption(tile: Image, name: str, poses: Sequence[FramePose], i: int, ha
     ground = tile[: height + 2 * margin, : name_width + details_width + 3 * margin]
     cv2.addWeighted(ground, 0.3, np.full_like(ground, DARK), 0.7, 0, dst=ground)
     write(tile, name, (margin, margin + height), size, WHITE)
-    write(tile, details, (2 * margin + name_width, margin + height), size, GOOD if count else GREY)
+    write(tile, details, (2 * margin + name_width, margin + height), size, color)
 
 
 def _draw_bar(bar: Image, objects: Sequence[Shown], unit: str) -> None:

@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.report.disagreement import disagreements, remarks
 from sylpose.report.files import writing
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 
@@ -71,7 +72,8 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     """Draws pan, tilt, roll and the total turn, the position since the start, inliers and residuals per camera over time.
 
     Bands are two standard deviations either way, to first order in the covariance. Poses that are carried on only
-    (coasting) are dotted and pale; these frames and those without a pose are shaded.
+    (coasting) are dotted and pale; these frames and those without a pose are shaded. While a camera disagrees with the
+    others, the cameras' panels are shaded in its colour, and the title says so.
 
     Args:
         trajectory: of at least one frame.
@@ -87,6 +89,9 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     marker = "." if len(trajectory) <= MARKED_FRAMES else ""
     figure = new_figure(11.5, 11.5)
     panels: list[Axes] = list(figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": [3, 3, 2, 2]}))
+    said = remarks(trajectory)
+    if said:
+        title += "\n" + said[0] + (f" And {len(said) - 1} more: see trajectory.csv." if len(said) > 1 else "")
     figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
 
     angles, position, inliers, residuals = panels
@@ -126,6 +131,12 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
         residuals.set_xlabel("frame")
         residuals.xaxis.set_major_locator(MaxNLocator(integer=True))
 
+    for other in disagreements(trajectory):
+        since = [f.index for f in trajectory].index(other.first)
+        until = len(times) - 1 if other.lasts else [f.index for f in trajectory].index(other.last)
+        color = colors[trajectory.camera_names.index(other.camera)]
+        for panel in (inliers, residuals):
+            panel.axvspan(times[since], times[until], color=color, alpha=0.15, linewidth=0, zorder=0)
     shading = _shade(panels, trajectory)
     for panel in panels:
         finish(panel)

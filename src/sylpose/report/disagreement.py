@@ -1,0 +1,96 @@
+"""Cameras that disagree with the others for a while: as one does that was bumped into, or calibrated badly.
+
+A single frame in which a camera is doubted says little: somebody walked by, or the object is seen at its rim. A camera that
+was moved is doubted in one frame after the other, until what it learns of the object by then has made up for it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.results import Trajectory
+
+__all__ = ["Disagreement", "disagreements", "remarks"]
+
+# A camera is doubted in a frame when what it says has so many times the variance that its matches give it, and so many
+# times that of the others' median: of two or three that contradict each other nobody knows which is wrong (measured:
+# docs/benchmarks.md, "A bumped camera").
+DOUBTED, ALONE = 2.0, 2.0
+# It disagrees from the first of so many frames on, of which all but one are doubtful (measured: the same), ...
+WINDOW = 8
+# ... and no more once it was not doubted in so many frames (choice).
+AT_EASE = 12
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """One camera, for a while.
+
+    Attributes:
+        camera: its name.
+        first, last: numbers of the first and the last frame in which it was doubted.
+        lasts: whether that is so to the end.
+    """
+
+    camera: str
+    first: int
+    last: int
+    lasts: bool
+
+    @property
+    def text(self) -> str:
+        """One sentence."""
+        if self.lasts:
+            return f"{self.camera} disagrees with the others since frame {self.first}: was it moved?"
+        return f"{self.camera} disagreed with the others from frame {self.first} to {self.last}: was it moved?"
+
+
+def disagreements(trajectory: Trajectory) -> list[Disagreement]:
+    """In the order of their first frames; none with fewer than three cameras, of which nobody can tell who is wrong."""
+    n = len(trajectory.camera_names)
+    frames = [f for f in trajectory if f.measured and len(f.doubt) == n]
+    if n < 3 or not frames:
+        return []
+    doubt, index = np.array([f.doubt for f in frames]), [f.index for f in frames]
+    found = []
+    for c, name in enumerate(trajectory.camera_names):
+        known = ~np.isnan(doubt[:, c])
+        rows = np.flatnonzero(known)
+        for first, last in _runs(_doubted(doubt[known], c)):
+            lasts = len(rows) - 1 - last < AT_EASE
+            found.append(Disagreement(name, index[rows[first]], index[rows[last]], lasts))
+    return sorted(found, key=lambda d: (d.first, d.camera))
+
+
+def remarks(trajectory: Trajectory) -> list[str]:
+    """What is to be said of the cameras: who disagreed, and the faults that were found, with in how many frames."""
+    faults = Counter(fault for frame in trajectory for fault in frame.faults)
+    said = [f"{fault} (in {n} frame{'' if n == 1 else 's'})" for fault, n in faults.most_common()]
+    return [*(d.text for d in disagreements(trajectory)), *said]
+
+
+def _doubted(doubt: FloatArray, camera: int) -> BoolArray:
+    """(n,) in which frames a camera is doubted, and alone."""
+    others = np.delete(doubt, camera, axis=1)
+    usual = np.nanmedian(np.where(np.isnan(others), 1.0, others), axis=1)
+    return np.asarray((doubt[:, camera] > DOUBTED) & (doubt[:, camera] > ALONE * usual))
+
+
+def _runs(doubted: BoolArray) -> list[tuple[int, int]]:
+    """First and last row of each while in which nearly all rows are doubtful."""
+    runs: list[tuple[int, int]] = []
+    row = 0
+    while row + WINDOW <= len(doubted):
+        if not (doubted[row] and doubted[row : row + WINDOW].sum() >= WINDOW - 1):
+            row += 1
+            continue
+        last = row
+        while doubted[last + 1 : last + 1 + AT_EASE].any():
+            last += 1 + int(np.argmax(doubted[last + 1 : last + 1 + AT_EASE]))
+        runs.append((row, last))
+        row = last + 1
+    return runs
