@@ -10,12 +10,13 @@ import pytest
 
 SOURCE = Path(__file__).parents[1] / "src" / "sylpose"
 # Rooms in which it holds.
-ROOMS = ["known_model", "numerics", "smoothing", "two_frames"]
+ROOMS = ("numerics", "two_frames", "known_model", "smoothing", "paper", "landmarks", "tracking")
 ORIGIN = re.compile(r"\((derived|chi-squared|measured|choice)\b")
 
 
 def constants_of(path: Path) -> list[tuple[str, str]]:
-    """Names of a module's constants with numbers in them, each with the comments above it up to other code.
+    """Names of a module's constants with numbers in them, each with the comments above it up to other code,
+    and beside it.
 
     Constants that follow each other without a comment between them share one.
     """
@@ -35,6 +36,7 @@ def constants_of(path: Path) -> list[tuple[str, str]]:
         while at > 0 and lines[at - 1].startswith("#"):
             at -= 1
             comment.insert(0, lines[at])
+        comment.append(lines[node.end_lineno - 1] if node.end_lineno else "")
         found.append((", ".join(names), " ".join(comment)))
     return found
 

@@ -48,16 +48,17 @@ __all__ = ["FIRST_PX", "Aligned", "OneOfMany", "Sights", "Told", "align"]
 SCHEDULE_PX = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
 FIRST_PX = SCHEDULE_PX[0]
 # Cameras disagree when one of them is doubted by this factor, has this many times the rig's noise, or this much less of its
-# matches agree than of another's.
+# matches agree than of another's (choice).
 DOUBTED, NOISY, FEWER = 3.0, 2.0, 0.6
-# Poses are compared by the robust cost at this noise, pixels; another one than the first has to be better by a margin.
+# Poses are compared by the robust cost at this noise, pixels; another one than the first has to be better by a
+# margin (choice).
 VOTE_PX, VOTE_MARGIN = 0.5, 0.01
 # A camera with fewer matches has no opinion of its own; as many are the least that fix a pose (derived).
 MIN_VOTES = 3
-# Doubt in a camera that was left out, when it is heard again.
+# Doubt in a camera that was left out, when it is heard again (choice).
 LEFT_OUT = 1e4
 # A match farther off than this, by its camera's noise or by this much noise, pixels or the rig's, is no inlier, however
-# bad its camera.
+# bad its camera (choice).
 INLIER_PX, INLIER_RIG = 1.0, 3.0
 
 

@@ -22,9 +22,9 @@ __all__ = ["Landmarks", "depth_prior", "learn_landmarks", "new_landmarks", "seen
 
 
 # Image noise of a ray, pixels. More than a keypoint's own noise: the poses that rays are placed with have errors too,
-# and those do not average out over the features of one frame.
+# and those do not average out over the features of one frame (choice).
 RAY_SIGMA_PX = 2.0
-# Neighbours in the image that a new feature's depth is guessed from.
+# Neighbours in the image that a new feature's depth is guessed from (choice).
 NEIGHBOURS = 8
 
 

@@ -9,7 +9,7 @@ from sylpose.numerics.arrays import IntArray
 
 __all__ = ["LandmarkTable"]
 
-# Rows that a table has room for at first; when they are full, twice as many.
+# Rows that a table has room for at first; when they are full, twice as many (choice).
 ROOM = 1024
 
 

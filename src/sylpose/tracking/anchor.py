@@ -25,16 +25,17 @@ __all__ = ["Anchor", "Followed", "begin_anchor", "follow", "with_new"]
 
 
 # Features per camera that an anchor has in all, if there are so many (keyframes are anchors, and are searched by them), and
-# how many are followed of them; how many of these are new at least.
+# how many are followed of them; how many of these are new at least (choice).
 FEATURES, FOLLOWED, MIN_NEW = 350, 170, 40
-# A new feature this near to one that is followed, pixels, is the same.
+# A new feature this near to one that is followed, pixels, is the same (choice).
 SAME_PX = 4.0
-# Features that were lost on the way are looked for again where their depth is known to this share of the object's radius.
+# Features that were lost on the way are looked for again where their depth is known to this share of the object's
+# radius (choice).
 KNOWN_DEPTH = 0.1
 # What of an anchor's features must still be seen: these shares of them, in all and in each camera, and so many in all, while
-# the object has turned by less than this (radians) since.
+# the object has turned by less than this (radians) since (choice).
 ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 0.4, 0.25, 60, np.radians(20.0)
-# Frames until a camera in which no feature was followed is searched again.
+# Frames until a camera in which no feature was followed is searched again (choice).
 ASK_AGAIN = 8
 
 

@@ -23,9 +23,9 @@ from sylpose.tracking.region import polygon_mask
 
 __all__ = ["CameraPart", "SeenAgain"]
 
-# Landmarks whose depth is known to this share of the object's radius show where its surface is.
+# Landmarks whose depth is known to this share of the object's radius show where its surface is (choice).
 KNOWN_DEPTH = 0.1
-# So many of them show it better than what the boxes allow.
+# So many of them show it better than what the boxes allow (choice).
 MIN_SURFACE = 20
 
 

@@ -49,15 +49,19 @@ __all__ = [
 
 Region = FloatArray | None
 
-# Margin of the object's region, as a share of its size in the image; it grows while the object is lost, up to a bound.
+# Margin of the object's region, as a share of its size in the image; it grows while the object is lost, up to a
+# bound (choice).
 REGION_GROWTH, MAX_GROWTH = 0.15, 1.0
-# Features per camera that are detected where features are followed.
+# Features per camera that are detected where features are followed (choice).
 KLT_FEATURES = 400
-# With a turn less certain than this (radians), an object that was missed is not taken as found, for so many frames at most.
+# With a turn less certain than this (radians), an object that was missed is not taken as found, for so many frames at
+# most (choice).
 AGAIN_SD, WAIT_FOR_MORE = 0.005, 2
-# A pose found again must be the one that relocalisation found: within this turn (radians) and share of the radius.
+# A pose found again must be the one that relocalisation found: within this turn (radians) and share of the
+# radius (choice).
 AGAIN_TURN, AGAIN_SHIFT = 0.17, 0.3
-# Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before found.
+# Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before
+# found (choice).
 SPEED_ROUNDS = 2
 
 

@@ -28,9 +28,9 @@ __all__ = [
     "triangulate",
 ]
 
-# A feature that stands still where the object's surface moved by this much is background.
+# A feature that stands still where the object's surface moved by this much is background (choice).
 BACKGROUND_PX = 4.0
-# Points are added to the object's cloud when their depth is known to this share of it.
+# Points are added to the object's cloud when their depth is known to this share of it (choice).
 DEPTH_SHARE = 0.1
 
 

@@ -17,11 +17,12 @@ from sylpose.rig import Rig
 from sylpose.tracking.crew import Crew
 from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, base_from_reference
 from sylpose.tracking.records import Chance, Known, total_ages
-from sylpose.tracking.sights import ages_of, chance_of, cut, sights_of, smear, usual_age, with_trust
+from sylpose.tracking.sights import STILL_TRUST, ages_of, chance_of, cut, sights_of, smear, usual_age, with_trust
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
 from sylpose.two_frames.solver import fit_terms
 from sylpose.two_frames.terms import TermData
+from sylpose.two_frames.verdict import more_than_chance
 
 __all__ = ["SOLVERS", "Agreement", "Problem", "Solution", "dealt", "gathered"]
 
@@ -29,19 +30,18 @@ Hypothesis = tuple[FloatArray, FloatArray]
 # Of one camera, (weights, residuals in pixels) of each of its pairs.
 Agreement = list[tuple[FloatArray, FloatArray]]
 
-# Above this mean robust cost most landmarks contradict the pose that was started from: other starts are tried.
+# Above this mean robust cost most landmarks contradict the pose that was started from: other starts are tried (choice).
 POOR_COST = 0.6
-# Noise that another start is given, pixels: it was fitted to the same matches.
+# Noise that another start is given, pixels: it was fitted to the same matches (choice).
 OTHER_START_PX = 4.0
-# Weight of a landmark that stands still and never moved, while others move: just below `sights.TRUSTED`.
-STILL_TRUST = 0.05
-# So large a share of inliers is not had by chance.
+# So large a share of inliers is not had by chance (choice).
 CERTAIN_SHARE = 0.8
-# So many sights of a feature leave its depth a guess.
+# So many sights of a feature leave its depth a guess (choice).
 YOUNG = 3
-# A depth is known where it moves the landmark's image by less than this, pixels; the 2D-3D equation wants so many.
+# A depth is known where it moves the landmark's image by less than this, pixels; the 2D-3D equation wants so
+# many (choice).
 KNOWN_PX, KNOWN = 1.0, 30
-# Depths and motion are found in turns so often at most, until the rotation changes by less.
+# Depths and motion are found in turns so often at most, until the rotation changes by less (choice).
 POSIT_ROUNDS, POSIT_SETTLED = 20, 1e-6
 
 
@@ -209,11 +209,11 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights]]:
 
 
 def _by_chance(chances: Sequence[Chance]) -> bool:
-    """Whether random matches would agree with a pose about as often. The best of many poses finds more of them, hence the
-    factor; twice as many as there are unknowns (six, and those of each camera's surface) can be satisfied by choice."""
+    """Whether random matches would agree with a pose about as often; its unknowns are six, and those of each camera's
+    surface."""
     inliers, tried = sum(chance.inliers for chance in chances), sum(chance.tried for chance in chances)
     unknowns, by_chance = 6 + sum(chance.unknowns for chance in chances), sum(chance.by_chance for chance in chances)
-    return inliers < CERTAIN_SHARE * tried and inliers < 2 * unknowns + 4.0 * by_chance
+    return inliers < CERTAIN_SHARE * tried and not more_than_chance(inliers, by_chance, unknowns)
 
 
 def solve_known_depth(crew: Crew, problem: Problem) -> Solution:

@@ -23,7 +23,7 @@ from sylpose.tracking.velocity import Velocity
 __all__ = ["Joint", "covariance_with_references"]
 
 # An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
-# (object's radii) is less certain than this.
+# (object's radii) is less certain than this (choice).
 MAX_COASTING, COASTING_TURN, COASTING_SHIFT = 15, 0.35, 1.0
 
 

@@ -20,12 +20,12 @@ from sylpose.tracking.frame import SolvedFrame
 __all__ = ["MAX_KEYFRAMES", "nearest_views", "references_of", "viewpoints", "with_keyframe"]
 
 
-# So many keyframes are kept: a few for every side of the object.
+# So many keyframes are kept: a few for every side of the object (choice).
 MAX_KEYFRAMES = 100
 # A frame is a keyframe when the object has turned by this much since the nearest one, or come nearer or gone further by
-# this factor, as seen from a camera.
+# this factor, as seen from a camera (choice).
 NEW_TURN, NEW_SCALE = np.radians(6.0), 1.2
-# One reference from each ring of angles between the viewpoints: near ones match well, far ones stop the drift.
+# One reference from each ring of angles between the viewpoints: near ones match well, far ones stop the drift (choice).
 RINGS = np.radians([0.0, 10.0, 18.0, 28.0])
 
 

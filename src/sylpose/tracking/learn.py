@@ -29,12 +29,12 @@ from sylpose.two_frames.verdict import observed
 __all__ = ["accept_first", "accepted", "not_found", "triangulated", "with_surface"]
 
 # One camera sees a turn and its mirror image alike, with hollow for round: an object in a box is taken to be round, and its
-# middle to be nearer than its centre by this share of its radius.
+# middle to be nearer than its centre by this share of its radius (choice).
 BULGE = 0.5
 # A camera of whose matches no more than this share agrees was rejected as a whole, where of another's this share does
 # (choice).
 REJECTED, HEARD = 0.2, 0.5
-# So many points show where an object's surface is.
+# So many points show where an object's surface is (choice).
 MIN_POINTS = 20
 
 

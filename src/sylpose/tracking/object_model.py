@@ -14,7 +14,7 @@ from sylpose.tracking.region import volume_from_boxes
 
 __all__ = ["ObjectModel"]
 
-# Object points kept to follow the object's region.
+# Object points kept to follow the object's region (choice).
 MAX_POINTS = 600
 
 

@@ -45,15 +45,16 @@ from sylpose.two_frames.motion import motion_about
 
 __all__ = ["Waiting", "next_frame", "recover", "start", "steady"]
 
-# Without boxes nothing is known of the object until it moves: so many frames wait for that, with their images.
+# Without boxes nothing is known of the object until it moves: so many frames wait for that, with their images (choice).
 PATIENCE = 10
-# What moves by this much in the middle, pixels, is told from what does not; a smaller motion has to wait for a larger one.
+# What moves by this much in the middle, pixels, is told from what does not; a smaller motion has to wait for a larger
+# one (choice).
 FIRST_PX = 8.0
 AMBIGUOUS = (
     "Without boxes, what moves most is tracked; something else moved nearly as much. Boxes or masks of the object would "
     "tell which of the two it is."
 )
-# Features per camera while the object may be anywhere in the image.
+# Features per camera while the object may be anywhere in the image (choice).
 START_FEATURES = 4000
 
 

@@ -14,7 +14,8 @@ from sylpose.rig import Camera, Rig, nearest_point_to_rays
 __all__ = ["polygon_mask", "region_polygon", "volume_from_boxes"]
 
 
-# Points per axis of the grids that are carved by the boxes; how many, each laid over what the one before has left.
+# Points per axis of the grids that are carved by the boxes; how many, each laid over what the one before has
+# left (choice).
 GRID, GRIDS = 15, 3
 
 

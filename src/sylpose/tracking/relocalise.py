@@ -18,12 +18,12 @@ from sylpose.tracking.records import Recognised
 __all__ = ["pose_of", "recognised", "to_try"]
 
 # Keyframes that each camera's image is compared with: those seen from nearest to where it looked from last, then others
-# from all sides, in turn.
+# from all sides, in turn (choice).
 NEAREST, OTHERS = 6, 6
-# Landmarks whose depth is known to this share of the object's radius.
+# Landmarks whose depth is known to this share of the object's radius (choice).
 KNOWN_DEPTH = 0.3
 # Fewer matches that agree are not believed: a body of the same outline in the same place, or the object's unknown side,
-# makes about twenty; the object itself hundreds.
+# makes about twenty; the object itself hundreds (measured: tests/tracking/test_relocalise.py) (choice).
 MIN_INLIERS = 24
 MAX_ERROR_PX = 8.0
 

@@ -15,11 +15,12 @@ from sylpose.rig import Camera
 from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, still
 from sylpose.tracking.records import Ages, Chance
 
-__all__ = ["ages_of", "chance_of", "cut", "sights_of", "smear", "usual_age", "with_trust"]
+__all__ = ["STILL_TRUST", "ages_of", "chance_of", "cut", "sights_of", "smear", "usual_age", "with_trust"]
 
-# Landmarks with less trust are no evidence that a pose is right. One that stands still and never moved has a little less
-# (`frame_solvers.STILL_TRUST`).
-TRUSTED = 0.06
+# Weight of a landmark that stands still and never moved, while others move (choice).
+STILL_TRUST = 0.05
+# Landmarks with less trust are no evidence that a pose is right: such a one has a little less (derived).
+TRUSTED = 1.2 * STILL_TRUST
 
 
 def sights_of(

@@ -20,7 +20,7 @@ from sylpose.two_frames.terms import object_place
 
 __all__ = ["FirstMotion", "first_motion", "is_ambiguous"]
 
-# Another motion with this share of the object's inliers might be the object as well.
+# Another motion with this share of the object's inliers might be the object as well (choice).
 RIVAL_SHARE = 0.5
 
 

@@ -8,19 +8,20 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.robust import chi_squared_bound
 from sylpose.rig import Rig
 
 __all__ = ["Velocity"]
 
 
 # The weight of constant velocity beside a frame's matches: its standard deviation is this many times the usual change of
-# velocity. It counts once so many frames in a row were solved.
+# velocity. It counts once so many frames in a row were solved (choice).
 SPREAD, STEADY_FRAMES = 5.0, 5
-# Chi-squared of six that chance exceeds once in a thousand times.
-SURPRISING = 22.5
-# The usual change is a mean over about so many frames.
+# What constant velocity and a fit may differ by (chi-squared of six: chance exceeds it once in a thousand times).
+SURPRISING = chi_squared_bound(6)
+# The usual change is a mean over about so many frames (choice).
 MEMORY = 5
-# A velocity is not taken from an interval shorter than this share of the usual one.
+# A velocity is not taken from an interval shorter than this share of the usual one (choice).
 SHORT = 0.2
 
 
