@@ -314,6 +314,7 @@ def test_there_are_so_many_in_all_or_so_many_new_ones_at_least(known: int) -> No
 def test_features_are_found_where_the_image_went(shift: tuple[float, float]) -> None:
     """Also when nothing was predicted."""
     anchor = anchor_of()
+    anchor = replace(anchor, alive=anchor.alive & (np.arange(60) % 3 > 0))
     for ahead in (START, shifted(*shift)):
         followed = followed_to(anchor, picture(*shift), ahead)
         assert 0.9 * anchor.alive.sum() < len(followed) <= anchor.alive.sum()
@@ -332,6 +333,16 @@ def test_far_away_they_are_found_by_the_prediction_alone() -> None:
     assert right[0].all()
     assert len(right[0]) > 0.8 * anchor.alive.sum()
     assert right[1].sum() < 0.1 * anchor.alive.sum()
+
+
+def test_where_a_feature_was_is_known_better_than_where_its_landmark_was() -> None:
+    """Landmarks that are off by 15 pixels still tell how the image of the object moves."""
+    anchor, shift = anchor_of(), (23.0, -14.0)
+    landmarks = anchor.frame.landmarks
+    anchor.frame.table.learn(replace(landmarks, mean=landmarks.mean + np.array([15 * DEPTH / FOCAL, 0, 0])))
+    followed = followed_to(anchor, picture(*shift), shifted(*shift))
+    assert len(followed) > 0.8 * anchor.alive.sum()
+    assert np.linalg.norm(followed.features.pixels - grid(60)[followed.rows] - shift, axis=1).max() < 0.2
 
 
 def test_a_pair_is_of_the_found_and_the_anchors_features() -> None:

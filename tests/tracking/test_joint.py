@@ -77,6 +77,17 @@ def test_the_velocity_is_of_the_time_that_has_passed() -> None:
     np.testing.assert_allclose(joint.predicted(3 * DT).as_matrix(), at(3).as_matrix(), atol=1e-12)
 
 
+def test_a_turn_about_the_objects_centre_that_changes_is_no_change_of_its_place() -> None:
+    joint, pose = begun(), START
+    for k, angle in enumerate((0.1, 0.2, 0.15), 1):
+        turn = Rotation.from_rotvec([0, 0, angle])
+        motion = RigidTransform.from_components(START.translation - turn.apply(START.translation), turn)
+        pose = motion * pose
+        joint = joint.accepted(solved(k, pose), motion, anew=False)
+    assert joint.velocity.unsteady[3:].max() < 1e-20
+    assert joint.velocity.unsteady[2] > 1
+
+
 def test_accepted_makes_a_new_state_and_leaves_the_old() -> None:
     old = after(3)
     keyframes, anchor, twist = old.keyframes, old.anchor, old.velocity.twist.copy()

@@ -132,6 +132,22 @@ def test_two_frames_at_nearly_the_same_time_teach_nothing(share: float, learns: 
     assert (again is not velocity) == learns
     # The first ever is taken whatever its interval, as there is no usual one.
     assert Velocity().learnt(turned_by(0.1), CENTER, 0.0).frames == 1
+    # So is the first after a gap.
+    assert velocity.forgotten(stands=False).learnt(turned_by(0.1), CENTER, 0.01 * DT).frames == 1
+
+
+def test_the_usual_interval_goes_with_the_frames() -> None:
+    """What was nearly the same time at one rate is the usual interval at another."""
+    velocity, fast = Velocity().learnt(turned_by(0.1), CENTER, DT), 0.5 * SHORT * DT
+    intervals = [2 * DT, 3 * DT, 2 * DT, 0.5 * DT]
+    expected = DT
+    for interval in intervals:
+        velocity = velocity.learnt(turned_by(0.1), CENTER, interval)
+        expected += (interval - expected) / MEMORY
+    assert velocity.interval == pytest.approx(expected)
+    for _ in range(30):
+        velocity = velocity.learnt(turned_by(0.1), CENTER, 0.3 * velocity.interval)
+    assert velocity.learnt(turned_by(0.3), CENTER, fast) is not velocity
 
 
 @pytest.mark.parametrize("stands", [True, False])
