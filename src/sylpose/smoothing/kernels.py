@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.numerics.compiled import cholesky_solve, kernel
+from sylpose.numerics.compiled import kernel
 
 __all__ = [
     "BEHIND_PX",
@@ -19,9 +19,10 @@ __all__ = [
     "Sightings",
     "Views",
     "derivatives",
+    "eliminated",
+    "longest_track",
     "reduce",
     "residuals",
-    "scores",
     "substitute",
 ]
 
@@ -147,7 +148,7 @@ def derivatives(
 
 
 @kernel
-def _landmark(
+def eliminated(
     seen: Sightings,
     views: Views,
     point: FloatArray,
@@ -206,7 +207,7 @@ def _landmark(
 
 
 @kernel
-def _longest(start: IntArray) -> int:
+def longest_track(start: IntArray) -> int:
     longest = 0
     for i in range(start.shape[0] - 1):
         longest = max(longest, start[i + 1] - start[i])
@@ -235,7 +236,7 @@ def reduce(seen: Sightings, views: Views, points: FloatArray, weights: FloatArra
         weights: (n,) of the squared residuals, 1/pixels²; 0 for what is behind its camera.
         prior: information, per coordinate, that landmarks lie at the origin.
     """
-    longest, n_offsets = _longest(seen.start), out.corner.shape[0]
+    longest, n_offsets = longest_track(seen.start), out.corner.shape[0]
     e, by_pose, by_point = np.empty((longest, 2)), np.empty((longest, 2, 7)), np.empty((longest, 2, 3))
     root, slope = np.zeros((3, 3)), np.empty(3)
     # Of each of the landmark's frames, and of each camera's offset: its rows with the landmark, in the landmark's terms.
@@ -244,7 +245,7 @@ def reduce(seen: Sightings, views: Views, points: FloatArray, weights: FloatArra
     rows, za = np.empty((3, 2)), np.empty((3, 6))
     columns, blocks, gradient = out.columns, out.blocks, out.gradient
     for i in range(points.shape[0]):
-        if not _landmark(seen, views, points[i], i, weights, prior, e, by_pose, by_point, root, slope):
+        if not eliminated(seen, views, points[i], i, weights, prior, e, by_pose, by_point, root, slope):
             continue
         first, count, previous = seen.start[i], 0, -1
         timed[:] = 0.0
@@ -351,12 +352,12 @@ def substitute(
     Args: the rest as in `reduce`, whose derivatives are made again here: keeping them would cost memory, not making them
         little time.
     """
-    longest = _longest(seen.start)
+    longest = longest_track(seen.start)
     e, by_pose, by_point = np.empty((longest, 2)), np.empty((longest, 2, 7)), np.empty((longest, 2, 3))
     root, slope, x = np.zeros((3, 3)), np.empty(3), np.empty(3)
     for i in range(points.shape[0]):
         out[i] = points[i]
-        if not _landmark(seen, views, points[i], i, weights, prior, e, by_pose, by_point, root, slope):
+        if not eliminated(seen, views, points[i], i, weights, prior, e, by_pose, by_point, root, slope):
             continue
         x[:] = 0.0
         for n in range(seen.start[i], seen.start[i + 1]):
@@ -376,83 +377,3 @@ def substitute(
         out[i, 0] -= root[0, 0] * s0 + root[1, 0] * s1 + root[2, 0] * s2
         out[i, 1] -= root[1, 1] * s1 + root[2, 1] * s2
         out[i, 2] -= root[2, 2] * s2
-
-
-@kernel
-def scores(
-    seen: Sightings,
-    views: Views,
-    points: FloatArray,
-    weights: FloatArray,
-    prior: float,
-    group: IntArray,
-    by_pose_sum: FloatArray,
-    by_offset_sum: FloatArray,
-    shares: FloatArray,
-) -> None:
-    """What each of G groups of observations, `group` (n,), adds to the reduced system; the three sums are zero at the start.
-
-    by_pose_sum (F, G, 6) and by_offset_sum (G, C) become its gradient, shares (F, G, 6, 6) its information about each frame.
-    """
-    longest = _longest(seen.start)
-    e, by_pose, by_point = np.empty((longest, 2)), np.empty((longest, 2, 7)), np.empty((longest, 2, 3))
-    root, slope, rows, shared = np.zeros((3, 3)), np.empty(3), np.empty((3, 2)), np.empty((3, 6))
-    for i in range(points.shape[0]):
-        if not _landmark(seen, views, points[i], i, weights, prior, e, by_pose, by_point, root, slope):
-            continue
-        for n in range(seen.start[i], seen.start[i + 1]):
-            w = weights[n]
-            if w <= 0.0:
-                continue
-            o, k, c, g = n - seen.start[i], seen.free[seen.frame[n]], seen.camera[n], group[n]
-            shared[:] = 0.0
-            for a in range(2):
-                x, y, z = by_point[o, a]
-                rows[0, a] = root[0, 0] * x
-                rows[1, a] = root[1, 0] * x + root[1, 1] * y
-                rows[2, a] = root[2, 0] * x + root[2, 1] * y + root[2, 2] * z
-                r = w * (e[o, a] - rows[0, a] * slope[0] - rows[1, a] * slope[1] - rows[2, a] * slope[2])
-                by_offset_sum[g, c] += by_pose[o, a, 6] * r
-                if k < 0:
-                    continue
-                for p in range(6):
-                    by_pose_sum[k, g, p] += by_pose[o, a, p] * r
-                    for j in range(3):
-                        shared[j, p] += w * by_pose[o, a, p] * rows[j, a]
-            if k < 0:
-                continue
-            for p in range(6):
-                for q in range(6):
-                    whole = w * (by_pose[o, 0, p] * by_pose[o, 0, q] + by_pose[o, 1, p] * by_pose[o, 1, q])
-                    used = shared[0, p] * shared[0, q] + shared[1, p] * shared[1, q] + shared[2, p] * shared[2, q]
-                    shares[k, g, p, q] += whole - used
-
-
-@kernel
-def where_rays_meet(seen: Sightings, views: Views, prior: float, out: FloatArray) -> None:
-    """out (m, 3) becomes the points nearest to their rays, weighted by one pixel's size there, and to the origin."""
-    ray, center, a = np.empty(3), np.empty(3), np.empty((3, 3))
-    for i in range(out.shape[0]):
-        for p in range(3):
-            a[p], out[i, p] = 0.0, 0.0
-            a[p, p] = prior
-        for n in range(seen.start[i], seen.start[i + 1]):
-            k, c = seen.frame[n], seen.camera[n]
-            r, m, b = views.turns[k], views.carried[k, c], views.place[k, c]
-            x, y = seen.image[n, 0], seen.image[n, 1]
-            # M R turns the object's axes into the camera's.
-            for p in range(3):
-                ray[p], center[p] = 0.0, 0.0
-                for q in range(3):
-                    back = m[0, q] * x + m[1, q] * y + m[2, q]
-                    ray[p] += r[q, p] * back
-                    center[p] -= r[q, p] * (m[0, q] * b[0] + m[1, q] * b[1] + m[2, q] * b[2])
-            square = x * x + y * y + 1.0
-            weight = views.focals[c] ** 2 / (b[0] ** 2 + b[1] ** 2 + b[2] ** 2)
-            along = (ray[0] * center[0] + ray[1] * center[1] + ray[2] * center[2]) / square
-            for p in range(3):
-                a[p, p] += weight
-                out[i, p] += weight * (center[p] - along * ray[p])
-                for q in range(3):
-                    a[p, q] -= weight * ray[p] * ray[q] / square
-        cholesky_solve(a, out[i])

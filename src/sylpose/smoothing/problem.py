@@ -18,8 +18,8 @@ from sylpose.smoothing.kernels import (
     reduce,
     residuals,
     substitute,
-    where_rays_meet,
 )
+from sylpose.smoothing.rays import where_rays_meet
 from sylpose.smoothing.spread import excess_variance
 from sylpose.smoothing.system import System
 

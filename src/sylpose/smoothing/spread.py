@@ -16,7 +16,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.smoothing.kernels import Sightings, Views, scores
+from sylpose.smoothing.kernels import Sightings, Views
+from sylpose.smoothing.scores import scores
 from sylpose.smoothing.system import Factor, System
 
 __all__ = ["excess_variance"]
