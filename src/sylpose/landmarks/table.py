@@ -35,6 +35,10 @@ class LandmarkTable:
         """Those with the numbers (n,)."""
         return self._rows.subset(self._at(numbers))
 
+    def seen(self, numbers: IntArray) -> IntArray:
+        """(n,) in how many frames each of those was seen."""
+        return np.asarray(self._rows.seen[self._at(numbers)])
+
     def learn(self, landmarks: Landmarks) -> IntArray:
         """Takes in what is known of landmarks (n) by now: of those that have a number instead of what was known before, the
         others are new. Where several have the same number, the last counts.

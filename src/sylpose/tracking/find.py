@@ -301,7 +301,7 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
         tried=sum(map(len, pairs)),
         references=tuple(pair.reference for pair in pairs),
         weights=tuple(float(w.sum()) for w, _ in agreement),
-        ages=Ages.of(np.concatenate([np.empty(0), *(pair.landmarks.seen for pair in inliers)])),
+        ages=Ages.of(np.concatenate([np.empty(0), *(pair.seen for pair in inliers)])),
         features=len(np.unique(indices)),
         residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
         sees=len(current.features) > 0,

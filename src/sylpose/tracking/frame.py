@@ -140,6 +140,11 @@ class Pair:
         """(n) of the matches, by the earlier frame."""
         return self.earlier.table.of(self.earlier.numbers[self.indices[:, 0]])
 
+    @property
+    def seen(self) -> IntArray:
+        """(n,) in how many frames each match's landmark was seen."""
+        return self.earlier.table.seen(self.earlier.numbers[self.indices[:, 0]])
+
     def term(self, index: int, camera: Camera, moved: RigidTransform | None = None) -> TermData:
         """The matches as a term of a motion.
 

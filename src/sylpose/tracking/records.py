@@ -64,8 +64,9 @@ class Ages:
     @classmethod
     def of(cls, seen: FloatArray, moving: int = 0, oldest: int = 0) -> Ages:
         """Of landmarks seen in so many frames (n,)."""
-        values, counts = np.unique(seen, return_counts=True)
-        return cls(values.astype(float), counts.astype(float), moving, oldest)
+        counts = np.bincount(seen.astype(np.int64))
+        values = np.flatnonzero(counts)
+        return cls(values.astype(float), counts[values].astype(float), moving, oldest)
 
 
 def total_ages(of_cameras: list[Ages]) -> FloatArray:

@@ -57,7 +57,7 @@ def sights_of(
 
 def ages_of(sights: Sights, moving: BoolArray, pairs: Sequence[Pair]) -> Ages:
     """In how many frames the landmarks were seen, of `sights_of`."""
-    oldest = max((int(pair.earlier.landmarks.seen.max(initial=0)) for pair in pairs), default=0)
+    oldest = max((int(pair.earlier.table.seen(pair.earlier.numbers).max(initial=0)) for pair in pairs), default=0)
     return Ages.of(sights.trust, int(moving.sum()), oldest)
 
 
@@ -107,7 +107,10 @@ def chance_of(
     share = np.minimum(np.pi * CUTOFF**2 * sigma * np.hypot(sigma, along) / max(region, 1e-12), 1.0)
     # A feature that is matched with several landmarks is tried once.
     by_chance = float(np.bincount(sights.feature, share).sum() / max(np.bincount(sights.feature).max(), 1))
-    return Chance(matches, len(np.unique(sights.feature[good])), len(np.unique(sights.feature)), by_chance, 3)
+    inliers, tried = (
+        int(np.count_nonzero(np.bincount(features))) for features in (sights.feature[good], sights.feature)
+    )
+    return Chance(matches, inliers, tried, by_chance, 3)
 
 
 def smear(sights: Sights, rotation: FloatArray, shift: FloatArray) -> FloatArray:
