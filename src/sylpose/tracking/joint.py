@@ -137,14 +137,16 @@ def covariance_with_references(
         agreed: by camera.
         radius: of the object.
     """
-    total = max(sum(sum(a.weights) for a in agreed), 1e-12)
-    inherited = np.zeros((6, 6))
+    shares: dict[int, float] = {}
     for a in agreed:
         for number, weight in zip(a.references, a.weights, strict=True):
-            # An error of the reference's pose, in world axes, turns with the object.
-            turn = (now.rotation * known[number].world_from_object.rotation.inv()).as_matrix()
-            both = np.kron(np.eye(2), turn)
-            inherited += weight / total * (both @ known[number].covariance @ both.T)
+            shares[number] = shares.get(number, 0.0) + weight
+    total, inherited = max(sum(shares.values()), 1e-12), np.zeros((6, 6))
+    for number, weight in shares.items():
+        # An error of the reference's pose, in world axes, turns with the object.
+        turn = (now.rotation * known[number].world_from_object.rotation.inv()).as_matrix()
+        both = np.kron(np.eye(2), turn)
+        inherited += weight / total * (both @ known[number].covariance @ both.T)
     # What cannot be observed is bounded: no motion by half a turn or by the object's size is matched.
     bound = np.repeat([np.pi**-2, radius**-2], 3)
     return covariance_of(information + np.diag(bound)) + inherited
