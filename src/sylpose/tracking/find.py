@@ -91,22 +91,16 @@ class Team:
         """The same outlier rejection for the same frame, whatever came before."""
         return np.random.default_rng(self.seed)
 
-    def detect(self, frames: FrameSet, regions: Sequence[Region] | None, most: int) -> list[Features]:
-        """By camera, each its own: the features inside the object's regions; None: anywhere."""
+    def detect(
+        self, frames: FrameSet, regions: Sequence[Region] | None, most: int, *, around: bool = False
+    ) -> list[Features]:
+        """By camera, each its own: the features inside the object's regions, or around them; None: anywhere."""
 
         def of(c: int) -> Features:
-            camera = self.rig.cameras[c]
-            where = None if regions is None else polygon_mask(regions[c], camera.size)
+            where = None
+            if regions is not None:
+                where = polygon_mask(regions[c], self.rig.cameras[c].size) ^ around
             return self.parts[c].detect(frames.images[c], frames.masks[c], where, most)
-
-        return self.crew.each(of, long=True)
-
-    def surroundings(self, frames: FrameSet, regions: Sequence[Region]) -> list[Features]:
-        """By camera, each its own: the features outside the object's regions."""
-
-        def of(c: int) -> Features:
-            around = ~polygon_mask(regions[c], self.rig.cameras[c].size)
-            return self.parts[c].detect(frames.images[c], frames.masks[c], around, MAX_FEATURES)
 
         return self.crew.each(of, long=True)
 

@@ -111,9 +111,10 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     status = FrameStatus.RELOCALISED if joint.missed else FrameStatus.TRACKED
     after = replace(joint, object=model).accepted(solved, found.motion, anew=found.anew)
     # Where it was found again next to nothing is known of what else is seen: the next frame asks the keyframes too.
-    if found.anew and team.follows and status is FrameStatus.TRACKED:
+    begins = found.anew and team.follows and status is FrameStatus.TRACKED
+    if begins:
         after = replace(after, anchor=Anchor(solved))
-    kept, begins = set(after.known), after.anchor is not None and after.anchor.age == 0 and found.anew
+    kept = set(after.known)
 
     def learn(c: int) -> tuple[tuple[FloatArray, FloatArray] | None, Sightings]:
         part, current = parts[c], frame.cameras[c]

@@ -171,7 +171,7 @@ def start(
         features = team.detect(frames, regions, MAX_FEATURES)
         if sum(team.crew.ask(lambda c: len(features[c]))) < MIN_MATCHES:
             return joint, [], [unsolved_frame(frames, FrameStatus.TOO_FEW_MATCHES, regions, model.radius)]
-        around = team.surroundings(frames, regions)
+        around = team.detect(frames, regions, MAX_FEATURES, around=True)
         frame = team.frame(number, frames, features)
         joint, first = accept_first(team, joint, frames, frame, around, model.center, regions)
         return joint, [], [first]

@@ -11,8 +11,8 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.crew import Crew
-from sylpose.tracking.frame import Pair, still
-from sylpose.tracking.frame_solvers import Agreement, dealt, gathered
+from sylpose.tracking.frame import Pair, inliers_of, still
+from sylpose.tracking.frame_solvers import dealt, gathered
 from sylpose.tracking.records import Moved
 from sylpose.two_frames.fit import Fit, no_fit
 from sylpose.two_frames.solver import fit_terms
@@ -88,13 +88,8 @@ def first_motion(
         size,
         len(displacement),
         float(np.median(displacement)) if len(displacement) else np.nan,
-        crew.each(lambda c: _inliers(moving[c], agreement[c])),
+        crew.each(lambda c: inliers_of(moving[c], [w for w, _ in agreement[c]])),
     )
-
-
-def _inliers(pairs: Sequence[Pair], agreement: Agreement) -> list[Pair]:
-    kept = [pair.subset(w > 0) for pair, (w, _) in zip(pairs, agreement, strict=True)]
-    return [pair for pair in kept if len(pair)]
 
 
 def is_ambiguous(
