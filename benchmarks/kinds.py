@@ -121,7 +121,7 @@ def compared(take: Take, poses: list[FramePose]) -> tuple[FloatArray, FloatArray
 
 
 def _error(truth: RigidTransform, first: tuple[int, RigidTransform], k: int, pose: RigidTransform) -> FloatArray:
-    """(6,) (w, d) of the motion since the first frame against the true one; d of where the object's centre was taken to be."""
+    """(6,) (w, d) of the motion since the first frame against the true one; d where the centre was taken to be."""
     number, start = first
     true = truth[k] * truth[number].inv()
     motion = pose * start.inv()
