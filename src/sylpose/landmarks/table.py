@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.landmarks.places import Landmarks
-from sylpose.numerics.arrays import IntArray
+from sylpose.numerics.arrays import FloatArray, IntArray
 
 __all__ = ["LandmarkTable"]
 
@@ -57,6 +57,10 @@ class LandmarkTable:
         _write(self._rows, rows, landmarks.subset(new))
         self._rows.id[rows] = numbers[new]
         return numbers
+
+    def place(self, numbers: IntArray, places: FloatArray) -> None:
+        """Puts the landmarks with some numbers (n,) at places (n, 3), as well known as before."""
+        self._rows.mean[self._at(numbers)] = places
 
     def keep(self, numbers: IntArray) -> None:
         """Forgets all but those with some numbers, once they are less than half of all."""

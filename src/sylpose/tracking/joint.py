@@ -25,6 +25,8 @@ __all__ = ["Joint", "covariance_with_references"]
 # An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
 # (object's radii) is less certain than this (choice).
 MAX_COASTING, COASTING_TURN, COASTING_SHIFT = 15, 0.35, 1.0
+# Frames besides the keyframes that are refined with them (choice).
+RECENT = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,7 @@ class Joint:
         last: the last solved frame; None before the first.
         keyframes: solved frames from all sides of the object, in order of time.
         anchor: the frame whose features are followed, if any.
+        recent: the last few solved frames, in order of time.
         velocity: how it moves.
         missed: frames since the last solved one.
         seen_again: frames in which it was seen, but not well enough, after it was missed.
@@ -46,6 +49,7 @@ class Joint:
     last: SolvedFrame | None = None
     keyframes: tuple[SolvedFrame, ...] = ()
     anchor: Anchor | None = None
+    recent: tuple[SolvedFrame, ...] = ()
     velocity: Velocity = field(default_factory=Velocity)
     missed: int = 0
     seen_again: int = 0
@@ -60,9 +64,9 @@ class Joint:
     @property
     def known(self) -> Mapping[int, SolvedFrame]:
         """The solved frames that later ones may be matched with, by number."""
-        frames = (
-            [*self.keyframes, self.base] if self.anchor is None else [*self.keyframes, self.anchor.frame, self.base]
-        )
+        frames = [*self.keyframes, *self.recent, self.base]
+        if self.anchor is not None:
+            frames.append(self.anchor.frame)
         return {frame.number: frame for frame in frames}
 
     def predicted(self, time: float) -> RigidTransform:
@@ -89,6 +93,7 @@ class Joint:
             self,
             last=solved,
             keyframes=with_keyframe(self.keyframes, solved) if anew else self.keyframes,
+            recent=(*self.recent, solved)[-RECENT:],
             anchor=None if anew or self.anchor is None else replace(self.anchor, age=self.anchor.age + 1),
             velocity=velocity,
             missed=0,
@@ -107,6 +112,19 @@ class Joint:
         sd = np.sqrt(np.diag(covariance))
         certain = sd[:3].max() < COASTING_TURN and sd[3:].max() < COASTING_SHIFT * self.object.radius
         return replace(self, missed=missed, lost=self.lost or missed > MAX_COASTING or not certain), covariance
+
+    def moved(self, frames: Mapping[int, SolvedFrame]) -> Joint:
+        """With the poses of some frames, by number, refined."""
+        anchor = self.anchor
+        if anchor is not None and anchor.frame.number in frames:
+            anchor = replace(anchor, frame=frames[anchor.frame.number])
+        return replace(
+            self,
+            last=frames.get(self.base.number, self.base),
+            keyframes=tuple(frames.get(k.number, k) for k in self.keyframes),
+            anchor=anchor,
+            recent=tuple(frames.get(k.number, k) for k in self.recent),
+        )
 
     def relearnt(self, radius: float) -> Joint:
         """Once it is known how large the object is: what boxes told of the depth of its landmarks is forgotten."""

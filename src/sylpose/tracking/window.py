@@ -1,0 +1,156 @@
+"""The window: the most telling solved frames, refined together while tracking goes on.
+
+A frame's pose is found against earlier ones, whose errors it takes over. Every now and then the keyframes and the last frame
+are refined jointly (`smoothing.bundle`), with the landmarks that several of them see: what they got wrong at first, a length
+that only a later turn tells, and the drift up to a side that is seen again, go out of all of them. What is later found against
+them is as good.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.results import Status
+from sylpose.smoothing.bundle import Bundled, Observations, bundle
+from sylpose.tracking.find import Team
+from sylpose.tracking.frame import SolvedFrame
+from sylpose.tracking.joint import Joint
+from sylpose.tracking.keyframes import viewpoints
+
+__all__ = ["Seen", "is_due", "refined"]
+
+# Frames that are refined together at most, the first one and the last among them (choice).
+MOST = 32
+# Landmarks of one camera that are used at most, those seen most often first (choice).
+LANDMARKS = 150
+# Besides every keyframe and the first frames, one frame of so many (choice).
+OFTEN = 4
+# Of fewer frames than this the depths are not known well enough to be refined with the poses (choice).
+LEAST = 6
+# Rounds of the solver: it starts near the answer (choice).
+ROUNDS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What one camera saw in several frames.
+
+    Attributes:
+        frame: (n,) which of them, from 0; landmark: (n,) numbers of its landmarks, each seen in two frames at least.
+        image: (n, 2) normalised points.
+        known: (m,) the numbers in order; place: (m, 3) where each is on the object by now.
+    """
+
+    frame: IntArray
+    landmark: IntArray
+    image: FloatArray
+    known: IntArray
+    place: FloatArray
+
+
+def is_due(joint: Joint) -> bool:
+    """Whether the frame just solved is to be refined with the others: each of the first ones, keyframes, and of the others
+    every `OFTEN`th."""
+    if len(joint.keyframes) + len(joint.recent) < LEAST:
+        return False
+    return joint.base.number % OFTEN == 0 or joint.keyframes[-1] is joint.base
+
+
+def refined(team: Team, joint: Joint) -> Joint:
+    """With the poses of the keyframes and of the last frame refined together; each camera places its landmarks anew."""
+    frames = _chosen(joint)
+    numbers = [frame.number for frame in frames]
+    told = team.crew.ask(lambda c: _seen(team, c, numbers))
+    found = _bundled(team, joint, frames, told)
+    if found is None:
+        return joint
+    bundled, names = found
+    poses = dict(zip(numbers, bundled.world_from_object, strict=True))
+    moved = {
+        frame.number: replace(
+            frame,
+            world_from_object=poses[frame.number],
+            covariance=bundled.covariance[k],
+            viewpoints=viewpoints(team.rig, poses[frame.number]),
+        )
+        for k, frame in enumerate(frames)
+        if bundled.tied[k]
+    }
+
+    def learn(c: int) -> None:
+        mine = names == c
+        if told[c] is not None and mine.any():
+            team.parts[c].table.place(told[c].known, bundled.landmarks[mine])
+
+    team.crew.each(learn)
+    return joint.moved(moved)
+
+
+def _chosen(joint: Joint) -> list[SolvedFrame]:
+    """In order of time: the first keyframe, the last frame, and of the others those evenly spread among the keyframes, the
+    recent ones all."""
+    every = {frame.number: frame for frame in (*joint.keyframes, *joint.recent, joint.base)}
+    frames = [every[number] for number in sorted(every)]
+    if len(frames) <= MOST:
+        return frames
+    recent = frames[-MOST // 2 :]
+    older = frames[: -MOST // 2]
+    spread = np.unique(np.linspace(0, len(older) - 1, MOST - len(recent)).astype(int))
+    return [older[k] for k in spread] + recent
+
+
+def _seen(team: Team, c: int, numbers: Sequence[int]) -> Seen:
+    """What a camera saw in frames with these numbers."""
+    part = team.parts[c]
+    frames = [part.frames[number] for number in numbers]
+    index = np.repeat(np.arange(len(frames)), [len(frame.numbers) for frame in frames])
+    landmark = np.concatenate([np.empty(0, np.int64), *(frame.numbers for frame in frames)])
+    image = np.concatenate([np.empty((0, 2)), *(frame.features.normalized for frame in frames)])
+    # A landmark that two features of a frame were taken for says nothing there.
+    _, first, count = np.unique(np.column_stack([index, landmark]), axis=0, return_index=True, return_counts=True)
+    single = np.sort(first[count == 1])
+    index, landmark, image = index[single], landmark[single], image[single]
+    known, inverse, sights = np.unique(landmark, return_inverse=True, return_counts=True)
+    good = np.flatnonzero(sights > 1)
+    good = np.sort(good[np.argsort(-sights[good], kind="stable")[:LANDMARKS]])
+    used = np.isin(inverse, good)
+    known = known[good]
+    return Seen(index[used], landmark[used], image[used], known, part.table.of(known).mean)
+
+
+def _bundled(
+    team: Team, joint: Joint, frames: Sequence[SolvedFrame], told: Sequence[Seen]
+) -> tuple[Bundled, IntArray] | None:
+    """The frames refined together, and (m,) whose landmarks they are; None where that says nothing."""
+    cameras = np.repeat(np.arange(len(told)), [len(seen.frame) for seen in told])
+    names = np.repeat(np.arange(len(told)), [len(seen.known) for seen in told])
+    starts = np.cumsum([0, *(len(seen.known) for seen in told)])
+    landmark = [starts[c] + np.searchsorted(seen.known, seen.landmark) for c, seen in enumerate(told)]
+    if not len(names):
+        return None
+    observations = Observations(
+        np.concatenate([seen.frame for seen in told]),
+        cameras,
+        np.concatenate(landmark).astype(np.int64),
+        np.concatenate([seen.image for seen in told]),
+    )
+    poses = RigidTransform.from_components(
+        np.array([f.world_from_object.translation for f in frames]),
+        Rotation.from_quat(np.array([f.world_from_object.rotation.as_quat() for f in frames])),
+    )
+    times = np.array([frame.time + frame.late for frame in frames])
+    bundled = bundle(
+        team.rig,
+        observations,
+        poses,
+        joint.object.radius,
+        landmarks=np.concatenate([seen.place for seen in told]),
+        times=times,
+        max_rounds=ROUNDS,
+    )
+    return None if bundled.status is Status.TOO_FEW_MATCHES else (bundled, names)
