@@ -168,7 +168,14 @@ def track(
             callback=_one_of(FEATURES),
         ),
     ] = FEATURES[0],
-    smooth: Annotated[bool, typer.Option("--smooth", help="Refine all poses together at the end.")] = False,
+    smooth: Annotated[
+        bool | None,
+        typer.Option(
+            "--smooth/--no-smooth",
+            help="Refine all poses together at the end: of recordings, by the method landmarks, if not said otherwise.",
+            show_default=False,
+        ),
+    ] = None,
     start: Annotated[int, typer.Option(metavar="N", help="The first frame to track.")] = 0,
     stop: Annotated[int | None, typer.Option(metavar="N", help="The frame to stop before; all by default.")] = None,
     every: Annotated[int, typer.Option(metavar="N", help="Track every n-th frame.")] = 1,

@@ -66,9 +66,29 @@ def test_images_without_times_are_tracked(session: Path, capsys: pytest.CaptureF
         for k, image in enumerate(images(session / f"{name}.mp4")[:4]):
             cv2.imwrite(str(session / name / f"{k}.bmp"), image)
         (session / f"{name}.mp4").unlink()
-    assert main(["track", str(session), "--no-overlay", "--smooth"]) == 0
+    assert main(["track", str(session), "--no-overlay", "--no-smooth"]) == 0
     assert len(read_trajectory(session / "sylpose" / "trajectory.csv")) == 4
     assert "4 of 4 frames" in capsys.readouterr().out
+    assert not (session / "sylpose" / "tracked.csv").exists()
+
+
+def test_the_result_is_the_smoothed_one_if_not_said_otherwise(session: Path, tmp_path: Path) -> None:
+    rounds: list[int] = []
+    for name, options in (("as tracked", ["--no-smooth"]), ("smoothed", []), ("paper", ["--method", "sylvester"])):
+        assert (
+            main(["track", str(session), "--no-overlay", "--stop", "5", "--out", str(tmp_path / name), *options]) == 0
+        )
+    run = track_session(open_session(session), tmp_path / "run", stop=5, overlay=False, on_smoothing=rounds.append)
+    assert rounds == list(range(1, len(rounds) + 1))
+    assert rounds
+    files = {name: (tmp_path / name).iterdir() for name in ("as tracked", "smoothed", "paper", "run")}
+    names = {name: {file.name for file in found} for name, found in files.items()}
+    assert names["smoothed"] == names["run"] == names["as tracked"] | {"tracked.csv", "tracked.tum"}
+    assert names["paper"] == names["as tracked"]
+    said = {name: (tmp_path / name / "trajectory.csv").read_bytes() for name in names}
+    assert (tmp_path / "smoothed" / "tracked.csv").read_bytes() == said["as tracked"]
+    assert said["run"] == said["smoothed"] != said["as tracked"]
+    assert len(run.trajectory) == 5
 
 
 def test_what_is_said_of_a_frame_is_said_aloud(

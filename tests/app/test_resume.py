@@ -76,7 +76,7 @@ def same(a: Path, b: Path) -> bool:
 def test_a_killed_run_goes_on(recording: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     args = ("track", recording, *STOP, "--out", tmp_path, "--checkpoint", 0)
     assert killed(5, *args).returncode == -signal.SIGKILL
-    assert len(read_trajectory(tmp_path / "trajectory.csv")) == 5
+    assert len(read_trajectory(tmp_path / "tracked.csv")) == 5
     assert (tmp_path / CHECKPOINT).exists()
     assert main([*map(str, args), "--resume"]) == 0
     said = capsys.readouterr().out
@@ -130,10 +130,11 @@ def interrupted(session: Path, out: Path, after: int, **options: Any) -> None:
         ({"method": "sylvester", "start": 1, "every": 2}, 3),
         ({"features": "klt", "offsets": {"cam_1": 0.002}, "stop": 7}, 5),
         ({"smooth": True, "stop": 6}, 4),
+        ({"smooth": False, "stop": 6}, 4),
         ({"stop": 4}, 4),
         ({"stop": 4, "checkpoint_seconds": 20}, 3),
     ],
-    ids=["epipolar", "every other frame", "klt", "smooth", "after the last frame", "from the start"],
+    ids=["epipolar", "every other frame", "klt", "smooth", "not smooth", "after the last frame", "from the start"],
 )
 def test_the_continuation_is_exact(session: Path, tmp_path: Path, options: dict[str, Any], after: int) -> None:
     if "every" in options:
@@ -144,6 +145,31 @@ def test_the_continuation_is_exact(session: Path, tmp_path: Path, options: dict[
     assert same(tmp_path / "part", tmp_path / "whole")
     assert {f.name for f in (tmp_path / "part").iterdir()} == {f.name for f in run.files}
     assert np.array_equal(run.trajectory.solved, read_trajectory(tmp_path / "whole" / "trajectory.csv").solved)
+
+
+@pytest.mark.parametrize(
+    "where",
+    ["sylpose.app.outputs.smooth", "sylpose.app.outputs.ObjectOutput._publish", "sylpose.app.run._remove_checkpoint"],
+)
+def test_what_ends_while_it_is_finished_goes_on(
+    session: Path, tmp_path: Path, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options: dict[str, Any] = {"stop": 5, "overlay": False, "checkpoint_seconds": 0}
+    track_session(open_session(session), tmp_path / "whole", **options)
+
+    def breaks(*_: object, **__: object) -> None:
+        raise PowerCutError
+
+    track_session(open_session(session), tmp_path / "part", **options)  # an earlier run's results are not taken for it
+    with monkeypatch.context() as patch:
+        patch.setattr(where, breaks)
+        with pytest.raises(PowerCutError):
+            track_session(open_session(session), tmp_path / "part", **options)
+    assert (tmp_path / "part" / CHECKPOINT).exists()
+    assert len(read_trajectory(tmp_path / "part" / "tracked.csv")) == 5
+    run = track_session(open_session(session), tmp_path / "part", resume=True, **options)
+    assert same(tmp_path / "part", tmp_path / "whole")
+    assert {f.name for f in (tmp_path / "part").iterdir()} == {f.name for f in run.files}
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([(3,), (4, 3), (3, 2, 5)]))
@@ -265,10 +291,10 @@ def test_files_that_are_not_as_they_were_left(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     interrupted(recording, tmp_path, 3, stop=4, checkpoint_seconds=0)
-    (tmp_path / "trajectory.csv").write_text("")
-    assert "trajectory.csv" in refused(capsys, recording, "--out", tmp_path, "--stop", 4)
-    (tmp_path / "trajectory.tum").unlink()
-    assert "trajectory.tum" in refused(capsys, recording, "--out", tmp_path, "--stop", 4)
+    (tmp_path / "tracked.csv").write_text("")
+    assert "tracked.csv" in refused(capsys, recording, "--out", tmp_path, "--stop", 4)
+    (tmp_path / "tracked.tum").unlink()
+    assert "tracked.tum" in refused(capsys, recording, "--out", tmp_path, "--stop", 4)
 
 
 def test_a_checkpoint_that_cannot_be_written_is_said(

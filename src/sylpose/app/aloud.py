@@ -60,6 +60,7 @@ def track_aloud(session: Session | LiveSession, out: Path | None, **options: Any
                 out,
                 on_resume=on_resume,
                 on_frame=progress.update,
+                on_smoothing=progress.smoothing,
                 on_problem=on_problem,
                 interrupted=asked,
                 **options,

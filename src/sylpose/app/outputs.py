@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +24,8 @@ __all__ = ["MAX_SMOOTHED", "ObjectOutput", "OutputState", "Overlay"]
 MAX_SMOOTHED = 10_000
 # What smoothing needs of the frames.
 TRACKS = "tracks.bin"
+# Names of the trajectory's files: the result; as it was tracked, where that is smoothed; and while it is written.
+RESULT, TRACKED, PARTIAL, SUFFIXES = "trajectory", "tracked", "smoothing", (".tum", ".csv")
 # Frames that may wait for the overlay's thread before the tracker has to.
 OVERLAY_QUEUE = 4
 
@@ -42,7 +44,8 @@ class ObjectOutput:
     Args:
         folder: made when it is not there.
         rig: whose cameras and unit the files name.
-        smooth: keep what `finish` needs to smooth the trajectory: in a file, since it is much.
+        smooth: write the frames to tracked.tum and .csv, and keep what `finish` needs to make trajectory.tum and .csv of
+            them: in a file, since it is much.
         clock: counts the time of "plots" and "smoothing".
         resume: of an earlier run, to go on with its files.
 
@@ -57,17 +60,23 @@ class ObjectOutput:
         self.poses: list[FramePose] = []
         self.report_path = self.folder / "report.png"
         self._writer = TrajectoryWriter(
-            self.folder, rig.names, rig.unit, resume=None if resume is None else resume.writer
+            self.folder,
+            rig.names,
+            rig.unit,
+            stem=TRACKED if smooth else RESULT,
+            resume=None if resume is None else resume.writer,
         )
+        result = [self.folder / f"{RESULT}{suffix}" for suffix in SUFFIXES]
+        tracked = [self.folder / f"{TRACKED}{suffix}" for suffix in SUFFIXES]
         earlier = [self.report_path]  # it would be taken for this run's
         if resume is None:
-            earlier += [self.folder / name for name in ("tracked.tum", "tracked.csv", TRACKS)]
+            earlier += [*(result if smooth else tracked), self.folder / TRACKS]
         for old in earlier:
             with writing(old):
                 old.unlink(missing_ok=True)
-        self.files = [self._writer.tum_path, self._writer.csv_path, self.report_path]
+        self.files = [*result, self.report_path, *(tracked if smooth else [])]
         self._tracks_path = self.folder / TRACKS
-        self._tracks = None
+        self._tracks, self._published = None, False
         if resume is not None:
             self.poses += read_trajectory(self._writer.csv_path)
         if smooth:
@@ -99,45 +108,59 @@ class ObjectOutput:
             n_tracks = self._tracks.tell()
         return OutputState(self._writer.state(), n_tracks)
 
-    def finish(self) -> str | None:
+    def finish(self, on_round: Callable[[int], None] | None = None) -> str | None:
         """After the last frame: smooth the trajectory if that is asked for; a sentence when that did not work out.
 
-        The trajectory as tracked goes to tracked.tum and tracked.csv, the smoothed one takes its place.
+        Nothing that going on from a checkpoint needs is changed: killed here, a run can be resumed and ends the same.
+
+        Args:
+            on_round: called with the number of each round of the refinement.
         """
         if self._tracks is None:
             return None
         if len(self.poses) > MAX_SMOOTHED:
             return f"Smoothing: {len(self.poses)} frames are more than the {MAX_SMOOTHED} that can be refined together."
         with self._clock.part("smoothing"):
-            self._tracks.close()
+            self._tracks.flush()
             tracks = []
             with self._tracks_path.open("rb") as file:
                 while file.peek(1):
                     tracks.append(pickle.load(file))
-            result = smooth(tracks, self._rig)
+            result = smooth(tracks, self._rig, on_round=on_round)
             self.poses[:] = result.poses
-            self._writer.close()
-            with TrajectoryWriter(self.folder, self._rig.names, self._rig.unit, stem="smoothed") as smoothed:
+            with TrajectoryWriter(self.folder, self._rig.names, self._rig.unit, stem=PARTIAL) as smoothed:
                 for pose in self.poses:
                     smoothed.write(pose)
-            for old, new in ((self._writer.tum_path, smoothed.tum_path), (self._writer.csv_path, smoothed.csv_path)):
-                with writing(old):
-                    os.replace(old, old.with_stem("tracked"))
-                    os.replace(new, old)
-                self.files.append(old.with_stem("tracked"))
-            self._tracks_path.unlink()
+            self._publish(smoothed)
         return None if result.status is Status.OK else f"Smoothing: {result.status.text}"
+
+    def _publish(self, writer: TrajectoryWriter) -> None:
+        """A writer's files, finished, as the result: each whole or not at all."""
+        for path in (writer.tum_path, writer.csv_path):
+            with writing(path):
+                os.replace(path, path.with_stem(RESULT))
+        self._published = True
 
     def close(self) -> None:
         """Finishes the files with the frames there are."""
         self._writer.close()
         if self._tracks is not None:
             self._tracks.close()
+            if not self._published:  # interrupted, or too much to be smoothed: the result is what was tracked
+                with TrajectoryWriter(self.folder, self._rig.names, self._rig.unit, stem=PARTIAL) as tracked:
+                    for pose in self.poses:
+                        tracked.write(pose)
+                self._publish(tracked)
         if self.poses:
             with self._clock.part("plots"):
                 from sylpose.report.plots import plot_trajectory
 
                 plot_trajectory(self.trajectory, self.report_path)
+
+    def forget(self) -> None:
+        """Once there is nothing to be resumed: what was kept for smoothing is removed."""
+        with writing(self._tracks_path):
+            self._tracks_path.unlink(missing_ok=True)
 
 
 class Overlay:

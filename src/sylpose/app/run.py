@@ -84,12 +84,13 @@ def track_session(
     stop: int | None = None,
     every: int = 1,
     overlay: bool = True,
-    smooth: bool = False,
+    smooth: bool | None = None,
     seed: int = 0,
     resume: bool = False,
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
     on_resume: Callable[[int], None] | None = None,
     on_frame: Callable[[TrackedFrame], None] | None = None,
+    on_smoothing: Callable[[int], None] | None = None,
     on_problem: Callable[[str], None] | None = None,
     interrupted: Callable[[], bool] | None = None,
 ) -> Run:
@@ -97,8 +98,9 @@ def track_session(
 
     Of several objects, each has a folder of its name with the first three. Whatever ends it early (Ctrl-C, a full disk, a
     bug), the frames solved until then are in the trajectory files, and `report.png` and `overlay.mp4` are finished with
-    them before the exception goes on. `resume` goes on from the last checkpoint, and comes to the same trajectories as if
-    there had been no interruption.
+    them before the exception goes on; of a run that is killed they are in `tracked.tum` and `tracked.csv`, if it was to be
+    smoothed. `resume` goes on from the last checkpoint, and comes to the same trajectories as if there had been no
+    interruption.
 
     Args:
         session: of `open_session` or `open_live`.
@@ -108,10 +110,12 @@ def track_session(
         start, stop, every: frames start, start + every, ... below stop.
         overlay: False leaves `overlay.mp4` out.
         smooth: refine all poses together at the end (`sylpose.smoothing`); as tracked they are in `tracked.tum` and .csv.
+            None: recordings of up to 10,000 frames, with the method "landmarks".
         resume: go on with the run in `out` that was interrupted. It must have had the same options.
         checkpoint_seconds: between two checkpoints; 0 for one after every frame. Live sessions have none.
         on_resume: called with the number of frames that the interrupted run has solved.
         on_frame: called with each frame once it is in the trajectory files; of several objects, with each of them.
+        on_smoothing: called with the number of each round in which the poses are refined together.
         on_problem: called with a sentence for each file that breaks off and each frame that cannot be read.
         interrupted: asked after each frame; when it says True, a checkpoint is written and KeyboardInterrupt raised.
 
@@ -135,12 +139,9 @@ def track_session(
         if on_problem is not None:
             on_problem(problem)
 
-    if smooth and isinstance(session, Session):
-        n = len(range(start, session.n_frames if stop is None else min(stop, session.n_frames), max(every, 1)))
-        if n > MAX_SMOOTHED:
-            raise ValueError(f"smooth: {n} frames are more than the {MAX_SMOOTHED} that can be refined together")
+    smooth = _is_smoothed(smooth, session, method, len(range(start, _end(session, stop), max(every, 1))))
     asked = {"method": method, "features": features, "seed": seed, "start": start, "stop": stop, "every": every}
-    asked |= {"offsets": offsets or None, "smooth": smooth or None}
+    asked |= {"offsets": offsets or None, "smooth": smooth}
     folder, clock = output_path(session, out), Clock()
     frames = session.frames(start, stop, every, said)
     saver = None
@@ -220,12 +221,29 @@ def track_session(
                 decided = tracker.flush()
             take(name, decided)
         for name, output in outputs.items():
-            if sentence := output.finish():
+            if sentence := output.finish(on_smoothing):
                 said(sentence if len(outputs) == 1 else f"{name}: {sentence}")
     _remove_checkpoint(folder)
+    for output in outputs.values():
+        output.forget()
     files = [file for output in outputs.values() for file in output.files] + ([overlay_path] if overlay else [])
     trajectories = {name: output.trajectory for name, output in outputs.items()}
     return Run(trajectories, tuple(files), tuple(problems), clock.seconds)
+
+
+def _end(session: Session | LiveSession, stop: int | None) -> int:
+    """The frame before which tracking ends; 0 of a live session, where that is not known."""
+    if session.n_frames is None:
+        return 0
+    return session.n_frames if stop is None else min(stop, session.n_frames)
+
+
+def _is_smoothed(asked: bool | None, session: Session | LiveSession, method: str, frames: int) -> bool:
+    if asked and frames > MAX_SMOOTHED:
+        raise ValueError(f"smooth: {frames} frames are more than the {MAX_SMOOTHED} that can be refined together")
+    if asked is not None:
+        return asked
+    return isinstance(session, Session) and method == METHODS[0] and frames <= MAX_SMOOTHED
 
 
 def _folders(session: Session | LiveSession, folder: Path) -> list[Path]:
@@ -268,7 +286,7 @@ def _rest(
 ) -> Generator[FrameSet, None, None]:
     """The frames that are left after the first `position` ones."""
     first = start + position * every
-    if first < (session.n_frames if stop is None else min(stop, session.n_frames)):
+    if first < _end(session, stop):
         return session.frames(first, stop, every, on_problem)
     return _nothing()
 

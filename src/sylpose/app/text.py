@@ -131,7 +131,7 @@ class TrackingProgress:
         self._updates, self._skipped, self._objects = 0, 0, objects
         console = make_console(stderr=True)
         self._progress = Progress(
-            TextColumn("Tracking"),
+            TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn(f"{cameras} camera{'s' if cameras > 1 else ''}"),
@@ -142,7 +142,7 @@ class TrackingProgress:
             transient=True,
             disable=not console.is_terminal,
         )
-        self._task = self._progress.add_task("", total=frames, rate="", inliers="")
+        self._task = self._progress.add_task("Tracking", total=frames, rate="", inliers="")
 
     def __enter__(self) -> TrackingProgress:
         self._progress.start()
@@ -169,6 +169,10 @@ class TrackingProgress:
         """Frames that an earlier run has tracked."""
         self._skipped = frames
         self._progress.update(self._task, completed=frames)
+
+    def smoothing(self, number: int) -> None:
+        """One round more in which all poses are refined together."""
+        self._progress.update(self._task, description="Refining", total=None, rate=f"round {number}", inliers="")
 
     def update(self, tracked: TrackedFrame) -> None:
         """One frame of one object more."""

@@ -79,8 +79,8 @@ def extent_of(points: FloatArray, center: FloatArray) -> Extent:
 
 
 def size_of(extents: Sequence[Extent], radius: float) -> tuple[float, float]:
-    """By which share all cameras' points are to be made larger so that they agree on one surface, and its standard deviation:
-    infinite where no direction faces two cameras that look from different sides.
+    """By which share all cameras' points are to be made larger so that they agree on one surface, and its standard
+    deviation: infinite where no direction faces two cameras that look from different sides.
 
     Args:
         radius: of the body.

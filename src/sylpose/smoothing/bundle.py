@@ -9,6 +9,7 @@ Source: B. Triggs, P. McLauchlan, R. Hartley, A. Fitzgibbon, "Bundle adjustment 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,6 +110,7 @@ def bundle(
     times: ArrayLike | None = None,
     offsets_sd: float | None = None,
     max_rounds: int = 30,
+    on_round: Callable[[int], None] | None = None,
 ) -> Bundled:
     """Refines poses and landmarks jointly, so that the landmarks project to where they are seen.
 
@@ -125,6 +127,7 @@ def bundle(
             times; each camera's own instant is reached along a parabola through neighbouring poses. Rising; None: 0, 1, ...
         offsets_sd: seconds; if given, the cameras' time offsets are estimated, starting from zero plus or minus this.
         max_rounds: bound.
+        on_round: called with the number of each round as it begins.
 
     Raises:
         ValueError: shapes or indices that do not fit, values that are not finite, no fixed frame, times that do not rise.
@@ -178,7 +181,7 @@ def bundle(
     state = problem.with_motion(state)
     state = replace(state, points=problem.where_rays_meet(state) if given is None else given[names])
     if (tied & ~stays).any():
-        fit = _minimise(problem, state, max_rounds)
+        fit = _minimise(problem, state, max_rounds, on_round)
     else:
         unknown, e = np.zeros(len(seen)), problem.residuals(state)
         sigma = problem.noise(e, unknown)
@@ -223,13 +226,15 @@ class _Fit:
     leverage: FloatArray
 
 
-def _minimise(problem: Problem, state: State, max_rounds: int) -> _Fit:
+def _minimise(problem: Problem, state: State, max_rounds: int, on_round: Callable[[int], None] | None) -> _Fit:
     """Levenberg-Marquardt with re-weighting, from a state to where it settles."""
     e = problem.residuals(state)
     sigma = np.full(len(problem.focals), np.inf)
     leverage = np.full(len(e), min(1.0, 3.0 * len(state.points) / max(len(e), 1)))
     damping, settled, held = 0.0, False, None
     for rounds in range(1, max_rounds + 1):
+        if on_round is not None:
+            on_round(rounds)
         if not settled:
             before, sigma = sigma, problem.noise(e, leverage)
             state = problem.with_strays_back(state, e, sigma)

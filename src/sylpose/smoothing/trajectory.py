@@ -7,7 +7,7 @@ frames leave each depth open (docs/benchmarks.md, "Smoothing", has the figures).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,13 +75,20 @@ class Smoothed:
     rounds: int
 
 
-def smooth(frames: Sequence[Track], rig: Rig, *, offsets_sd: float | None = None) -> Smoothed:
+def smooth(
+    frames: Sequence[Track],
+    rig: Rig,
+    *,
+    offsets_sd: float | None = None,
+    on_round: Callable[[int], None] | None = None,
+) -> Smoothed:
     """Refines the poses of all frames together; the first one's stays.
 
     Args:
         frames: in order of time, all that the tracker gave.
         rig: the tracker's.
         offsets_sd: seconds; if given, how far apart in time the cameras are is estimated too, within about this.
+        on_round: called with the number of each round of the refinement as it begins.
     """
     nothing = np.zeros(len(rig))
     used = [k for k, frame in enumerate(frames) if frame.pose.measured and len(frame.sightings)]
@@ -98,6 +105,7 @@ def smooth(frames: Sequence[Track], rig: Rig, *, offsets_sd: float | None = None
         landmarks=places,
         times=np.array([frames[k].pose.time for k in used])[:, None] + late,
         offsets_sd=offsets_sd,
+        on_round=on_round,
     )
     if bundled.status is not Status.TOO_FEW_MATCHES:
         counts, residuals = _per_camera(bundled, seen, len(used), len(rig))

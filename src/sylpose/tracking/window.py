@@ -1,9 +1,9 @@
 """The window: the most telling solved frames, refined together while tracking goes on.
 
-A frame's pose is found against earlier ones, whose errors it takes over. Every now and then the keyframes and the last frame
-are refined jointly (`smoothing.bundle`), with the landmarks that several of them see: what they got wrong at first, a length
-that only a later turn tells, and the drift up to a side that is seen again, go out of all of them. What is later found against
-them is as good.
+A frame's pose is found against earlier ones, whose errors it takes over. Every now and then the keyframes and the last
+frames are refined jointly (`smoothing.bundle`), with the landmarks that several of them see: what they got wrong at first, a
+length that only a later turn tells, and the drift up to a side that is seen again, go out of all of them. What is later
+found against them is as good.
 """
 
 from __future__ import annotations
