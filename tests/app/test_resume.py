@@ -147,10 +147,7 @@ def test_the_continuation_is_exact(session: Path, tmp_path: Path, options: dict[
     assert np.array_equal(run.trajectory.solved, read_trajectory(tmp_path / "whole" / "trajectory.csv").solved)
 
 
-@pytest.mark.parametrize(
-    "where",
-    ["sylpose.app.outputs.smooth", "sylpose.app.outputs.ObjectOutput._publish", "sylpose.app.run._remove_checkpoint"],
-)
+@pytest.mark.parametrize("where", ["smooth", "ObjectOutput._publish"])
 def test_what_ends_while_it_is_finished_goes_on(
     session: Path, tmp_path: Path, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
