@@ -159,7 +159,7 @@ def test_what_ends_while_it_is_finished_goes_on(
 
     track_session(open_session(session), tmp_path / "part", **options)  # an earlier run's results are not taken for it
     with monkeypatch.context() as patch:
-        patch.setattr(where, breaks)
+        patch.setattr(f"sylpose.app.outputs.{where}", breaks)
         with pytest.raises(PowerCutError):
             track_session(open_session(session), tmp_path / "part", **options)
     assert (tmp_path / "part" / CHECKPOINT).exists()
