@@ -1,6 +1,7 @@
 """The main job on the two real recordings and on the demo: accuracy, speed, memory.
 
     python benchmarks/main_job.py [--shared ../shared] [--method landmarks ...] [--demo-frames 60]
+                                   [--smooth | --no-smooth]
 
 Each run is `sylpose track` in a process of its own, so that its peak memory and its imports are its own. Scored with
 shared/tools/score.py. Prints one Markdown table; docs/benchmarks.md holds the figures of the last run.
@@ -18,20 +19,23 @@ from pathlib import Path
 RUN = """
 import json, resource, sys, time
 from sylpose import open_session, track_session
-session, out, method = sys.argv[1:4]
+session, out, method, smooth = sys.argv[1:5]
 start = time.perf_counter()
-run = track_session(open_session(session), out, method=method)
+run = track_session(open_session(session), out, method=method, smooth=smooth == "yes")
 memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 print(json.dumps({"frames": len(run.trajectory), "solved": int(run.trajectory.solved.sum()),
                   "seconds": time.perf_counter() - start, "parts": run.seconds, "memory_mb": memory}))
 """
 
 
-def measure(session: Path, truth: Path, score: Path, method: str) -> dict[str, object]:
+def measure(session: Path, truth: Path, score: Path, method: str, *, smooth: bool) -> dict[str, object]:
     """One run and its score."""
     with tempfile.TemporaryDirectory() as out:
         done = subprocess.run(
-            [sys.executable, "-c", RUN, str(session), out, method], capture_output=True, text=True, check=True
+            [sys.executable, "-c", RUN, str(session), out, method, "yes" if smooth else "no"],
+            capture_output=True,
+            text=True,
+            check=True,
         )
         result: dict[str, object] = json.loads(done.stdout.splitlines()[-1])
         scored = subprocess.run(
@@ -65,6 +69,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--shared", type=Path, default=Path(__file__).parents[2] / "shared")
     parser.add_argument("--method", nargs="+", default=["landmarks"])
+    parser.add_argument("--smooth", action=argparse.BooleanOptionalAction, help="as of sylpose track; both if not said")
     parser.add_argument("--demo-frames", type=int, default=60)
     options = parser.parse_args()
     score = options.shared / "tools" / "score.py"
@@ -84,7 +89,9 @@ def main() -> None:
             (f"demo, {options.demo_frames} frames", demo),
         ):
             for method in options.method:
-                print(row(name, method, measure(session, session / "groundtruth.tum", score, method)), flush=True)
+                for smooth in (False, True) if options.smooth is None else (options.smooth,):
+                    measured = measure(session, session / "groundtruth.tum", score, method, smooth=smooth)
+                    print(row(name, f"{method}, smoothed" if smooth else method, measured), flush=True)
 
 
 if __name__ == "__main__":

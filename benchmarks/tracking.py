@@ -70,7 +70,7 @@ def call(arguments: Sequence[object], limit_s: float) -> tuple[dict[str, Any], s
 
 def track(data: str, session: Path, options: dict[str, object]) -> Iterator[Row]:
     """Ours, on a recording: a row for each of its objects."""
-    by = " ".join(["sylpose", *(str(k if v is True else v) for k, v in options.items())])
+    by = " ".join(["sylpose", *(str(k if v is True else v) for k, v in options.items() if v is not False)])
     truths = sorted(session.glob("groundtruth*.tum"))
     center = None
     if len(truths) == 1:
@@ -145,8 +145,7 @@ def main() -> int:
     options: dict[str, object] = {}
     if asked.features:
         options["features"] = asked.features
-    if asked.smooth:
-        options["smooth"] = True
+    options["smooth"] = asked.smooth
     try:
         old = load(asked.compare) if asked.compare else []
         for name in names:
