@@ -71,6 +71,7 @@ class FrameStatus(Enum):
     TOO_FEW_MATCHES = "too few matches"
     NO_MOTION = "no motion"
     NOT_CONSISTENT = "no consistent motion"
+    ONLY_STILL = "only background"
 
     @property
     def text(self) -> str:
@@ -91,6 +92,8 @@ _FRAME_TEXTS = {
     FrameStatus.LOST: "The object was not found, for too long to say where it may be.",
     FrameStatus.TOO_FEW_MATCHES: "Too few features on the object in all cameras together, to begin with.",
     FrameStatus.NO_MOTION: "Nothing moved yet that could be taken for the object: its pose is not known.",
+    FrameStatus.ONLY_STILL: "All that is seen stands still and was never seen to move: it may be the background, and what "
+    "moved before is not seen. The object's pose is not known.",
     FrameStatus.NOT_CONSISTENT: "What moved was no rigid body, or not for long: its pose is not known.",
 }
 

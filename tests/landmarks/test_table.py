@@ -18,7 +18,7 @@ def some(values: list[float], numbers: list[int] | IntArray | None = None) -> La
     mean = np.array(values)[:, None] * np.ones(3)
     ids = np.full(n, -1) if numbers is None else np.asarray(numbers)
     information = np.array(values)[:, None, None] * np.eye(3)
-    return Landmarks(mean, information, np.arange(n) + 1, np.array(values) > 0, ids.astype(np.int64))
+    return Landmarks(mean, information, np.arange(n) + 1, np.array(values) > 0, mean[:, :2], ids.astype(np.int64))
 
 
 def values_of(table: LandmarkTable, numbers: list[int] | IntArray) -> list[float]:

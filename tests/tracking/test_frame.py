@@ -23,6 +23,7 @@ from sylpose.tracking.frame import (
     inliers_of,
     learn_background,
     match_pair,
+    standing,
     still,
     triangulate,
 )
@@ -92,7 +93,8 @@ def learn(rig: Rig, reference: Seen, current: Seen, *cameras: int) -> None:
     """`learn_background` of some cameras, or of all."""
     for c in cameras or range(len(rig)):
         pair = pair_of(reference, current, c)
-        learn_background(pair, current.cameras[c], rig.cameras[c], reference.pose, current.pose, RADIUS)
+        poses = reference.pose, current.pose
+        learn_background(pair, current.cameras[c], standing(pair, current.cameras[c], rig.cameras[c], *poses, RADIUS))
 
 
 def places_of(pair: Pair, camera: Camera, reference: Seen, current: Seen) -> FloatArray:

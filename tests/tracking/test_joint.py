@@ -226,7 +226,7 @@ def test_once_its_size_is_known_landmarks_are_young_again() -> None:
 def agreed(**weights: float) -> Agreed:
     """One camera's inliers, by reference: `_3` is the frame 3."""
     numbers = tuple(int(name[1:]) for name in weights)
-    return Agreed(50, 60, numbers, tuple(weights.values()), Ages.of(np.ones(50)), 50, 0.3, True)
+    return Agreed(50, 60, numbers, tuple(weights.values()), Ages.of(np.ones(50)), 50, 50, 50, 0.3, True)
 
 
 def random_covariance(rng: np.random.Generator) -> FloatArray:
@@ -309,7 +309,7 @@ def test_errors_of_references_with_common_ancestors_are_not_averaged_away() -> N
     rng = np.random.default_rng(3)
     C = random_covariance(rng)
     many = {k: solved(k, at(5), C) for k in range(10)}
-    ten = Agreed(50, 60, tuple(range(10)), (5.0,) * 10, Ages.of(np.ones(50)), 50, 0.3, True)
+    ten = Agreed(50, 60, tuple(range(10)), (5.0,) * 10, Ages.of(np.ones(50)), 50, 50, 50, 0.3, True)
     found = covariance_with_references(INFORMATION, at(5), [ten], many, RADIUS) - inverse_bounded(INFORMATION)
     np.testing.assert_allclose(found, C, rtol=1e-9, atol=1e-18)
     for share in (0.1, 0.5, 0.8):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,6 +50,16 @@ class Features:
     def subset(self, index: IntArray | BoolArray) -> Features:
         """The keypoints that a mask or an index array picks."""
         return Features(self.pixels[index], self.normalized[index], self.descriptors[index])
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Features]) -> Features:
+        """All parts after each other."""
+        parts = [cls.none(), *parts]
+        return cls(
+            np.concatenate([p.pixels for p in parts]),
+            np.concatenate([p.normalized for p in parts]),
+            np.concatenate([p.descriptors for p in parts]),
+        )
 
     @classmethod
     def none(cls) -> Features:
@@ -126,10 +137,11 @@ def match_features(a: Features, b: Features, ratio: float = 0.8, max_shift_px: f
     return np.asarray(pairs[np.sort(order[new])])
 
 
-def seen_before(features: Features, earlier: Features) -> BoolArray:
-    """(n,) features that an earlier frame of the same camera has at the same place with the same look."""
+def seen_before(features: Features, earlier: Features, still_px: float = STILL_PX) -> BoolArray:
+    """(n,) features that an earlier frame of the same camera has at the same place, within some pixels, with the same
+    look."""
     if len(features) == 0 or len(earlier) == 0:
         return np.zeros(len(features), bool)
-    gap, nearest = cKDTree(earlier.pixels).query(features.pixels, 3, distance_upper_bound=STILL_PX)
+    gap, nearest = cKDTree(earlier.pixels).query(features.pixels, 3, distance_upper_bound=still_px)
     similar = np.einsum("nd,nkd->nk", features.descriptors, earlier.descriptors[np.minimum(nearest, len(earlier) - 1)])
     return np.asarray((np.isfinite(gap) & (similar > SAME_LOOK)).any(axis=1))

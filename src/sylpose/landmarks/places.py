@@ -36,7 +36,9 @@ class Landmarks:
         mean: (n, 3).
         information: (n, 3, 3), the inverse covariances.
         seen: (n,) in how many frames each was seen.
-        moved: (n,) whether it was ever seen to move with the object. What never was may be background.
+        moved: (n,) whether it was ever seen to move with the object, away from its `origin`. What never was may be
+            background.
+        origin: (n, 2) pixels where the camera saw it first.
         id: (n,) the number (`LandmarkTable`); the same feature seen again in another frame keeps it. -1: none yet.
     """
 
@@ -44,13 +46,14 @@ class Landmarks:
     information: FloatArray
     seen: IntArray
     moved: BoolArray
+    origin: FloatArray
     id: IntArray
 
     @classmethod
     def none(cls) -> Landmarks:
         """No landmarks."""
         nothing = np.empty(0, np.int64)
-        return cls(np.empty((0, 3)), np.empty((0, 3, 3)), nothing, np.empty(0, bool), nothing)
+        return cls(np.empty((0, 3)), np.empty((0, 3, 3)), nothing, np.empty(0, bool), np.empty((0, 2)), nothing)
 
     @classmethod
     def concatenate(cls, parts: Sequence[Landmarks]) -> Landmarks:
@@ -61,6 +64,7 @@ class Landmarks:
             np.concatenate([p.information for p in parts]),
             np.concatenate([p.seen for p in parts]),
             np.concatenate([p.moved for p in parts]),
+            np.concatenate([p.origin for p in parts]),
             np.concatenate([p.id for p in parts]),
         )
 
@@ -80,7 +84,14 @@ class Landmarks:
 
     def subset(self, index: IntArray | BoolArray) -> Landmarks:
         """Those that a mask or an index array picks."""
-        return Landmarks(self.mean[index], self.information[index], self.seen[index], self.moved[index], self.id[index])
+        return Landmarks(
+            self.mean[index],
+            self.information[index],
+            self.seen[index],
+            self.moved[index],
+            self.origin[index],
+            self.id[index],
+        )
 
 
 def rays(features: Features, camera: Camera, object_from_world: RigidTransform) -> tuple[FloatArray, FloatArray]:
@@ -105,7 +116,8 @@ def new_landmarks(
     across = (camera.focal / (RAY_SIGMA_PX * distance)) ** 2
     information = across[:, None, None] * (np.eye(3) - along) + along / (sd**2)[:, None, None]
     n = len(mean)
-    return Landmarks(mean, information, np.ones(n, np.int64), np.zeros(n, bool), np.full(n, -1, np.int64))
+    nothing = np.zeros(n, bool), features.pixels.copy(), np.full(n, -1, np.int64)
+    return Landmarks(mean, information, np.ones(n, np.int64), *nothing)
 
 
 def seen_again(known: Landmarks, features: Features, camera: Camera, object_from_world: RigidTransform) -> Landmarks:

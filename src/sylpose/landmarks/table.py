@@ -76,12 +76,11 @@ class LandmarkTable:
 
 
 def _empty(n: int) -> Landmarks:
-    return Landmarks(
-        np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n, np.int64), np.empty(n, bool), np.full(n, -1, np.int64)
-    )
+    numbers, moved = np.full(n, -1, np.int64), np.empty(n, bool)
+    return Landmarks(np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n, np.int64), moved, np.empty((n, 2)), numbers)
 
 
 def _write(rows: Landmarks, at: IntArray, landmarks: Landmarks) -> None:
     """Everything but the numbers."""
     rows.mean[at], rows.information[at] = landmarks.mean, landmarks.information
-    rows.seen[at], rows.moved[at] = landmarks.seen, landmarks.moved
+    rows.seen[at], rows.moved[at], rows.origin[at] = landmarks.seen, landmarks.moved, landmarks.origin

@@ -204,8 +204,4 @@ def with_new(followed: Followed, detected: Features, background: BoolArray) -> F
     wanted = max(FEATURES - len(a), MIN_NEW)
     if len(b) > wanted:
         b = b.subset(np.arange(wanted) * len(b) // wanted)
-    return Features(
-        np.concatenate([a.pixels, b.pixels]),
-        np.concatenate([a.normalized, b.normalized]),
-        np.concatenate([a.descriptors, b.descriptors]),
-    )
+    return Features.concatenate([a, b])

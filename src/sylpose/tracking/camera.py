@@ -15,18 +15,38 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import Features, detect, seen_before
 from sylpose.landmarks.places import Landmarks, learn_landmarks
 from sylpose.landmarks.table import LandmarkTable
+from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.rig import Camera
 from sylpose.tracking.anchor import CameraAnchor, Followed, begin_anchor, follow, gone_on
-from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, learn_background, match_pair, still
+from sylpose.tracking.frame import (
+    CameraFrame,
+    Pair,
+    SolvedFrame,
+    away,
+    inliers_of,
+    learn_background,
+    match_pair,
+    standing,
+)
 from sylpose.tracking.region import polygon_mask
 
-__all__ = ["CameraPart", "SeenAgain"]
+__all__ = ["CameraPart", "SeenAgain", "still_of"]
 
 # Landmarks whose depth is known to this share of the object's radius show where its surface is (choice).
 KNOWN_DEPTH = 0.1
 # So many of them show it better than what the boxes allow (choice).
 MIN_SURFACE = 20
+# A landmark has moved with the object where the pose leaves no more than this share of the way from where it was first seen
+# unexplained (choice).
+CLEARLY = 0.5
+# What is displaced by so many standard deviations of a camera's keypoints has moved; no camera is taken to be worse than
+# this, pixels (choice).
+STILL_SIGMAS, MOST_STILL_PX = 5.0, 6.0
+# Features that are remembered as background (choice).
+MOST_SURROUNDINGS = 8000
+# The noise is a mean over about so many frames (choice).
+NOISE_MEMORY = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +71,19 @@ class SeenAgain:
         return cls([], np.empty(0, np.int64), Landmarks.none(), np.empty((0, 3)))
 
     @classmethod
-    def of(cls, inliers: Sequence[Pair], radius: float) -> SeenAgain:
-        """What a frame's inliers say. A landmark has moved if any that its feature is matched with has, or does so now."""
-        inliers = [pair for pair in inliers if len(pair)]
+    def of(
+        cls, pairs: Sequence[Pair], agreement: Sequence[tuple[FloatArray, FloatArray]], still_px: float, radius: float
+    ) -> SeenAgain:
+        """What a frame's matches say, of which some agree with its pose.
+
+        A landmark has moved if any that its feature is matched with has, or does so now: it is where the pose says, and
+        that is far from where it was first seen.
+
+        Args:
+            agreement: weights and residuals, pixels, (n,) of each pair.
+            still_px: what is less far may stand still.
+        """
+        inliers = inliers_of(pairs, [w for w, _ in agreement])
         if not inliers:
             return cls.none()
         known = Landmarks.concatenate([pair.landmarks for pair in inliers])
@@ -61,11 +91,32 @@ class SeenAgain:
         order = np.lexsort([sd, index])
         _, first = np.unique(index[order], return_index=True)
         pick = order[first]
-        moved = known.moved | np.concatenate([~still(pair) for pair in inliers])
+        residual = np.concatenate([np.abs(r[w > 0]) for w, r in agreement])
+        far = away(known, np.concatenate([pair.pixels_j for pair in inliers]))
+        moved = known.moved | ((far > still_px) & (residual < CLEARLY * far))
         ever = np.zeros(int(index.max()) + 1, bool)
         np.logical_or.at(ever, index, moved)
-        best = replace(known.subset(pick), moved=ever[index[pick]])
+        # Where it was first seen is a matter of all that its feature is matched with: of the oldest.
+        best = replace(known.subset(pick), moved=ever[index[pick]], origin=_oldest_origin(index, known)[index[pick]])
         return cls(inliers, index[pick], best, best.mean[sd[pick] < KNOWN_DEPTH * radius])
+
+    @property
+    def moved(self) -> int:
+        """How many of the features are known to be no background."""
+        return int(self.known.moved.sum())
+
+
+def _oldest_origin(index: IntArray, known: Landmarks) -> FloatArray:
+    """(m, 2) by feature, where the landmark with the lowest number was first seen that it (n,) is matched with."""
+    origin = np.zeros((int(index.max()) + 1, 2))
+    order = np.argsort(-known.id, kind="stable")
+    origin[index[order]] = known.origin[order]
+    return origin
+
+
+def still_of(noise_px: float) -> float:
+    """What is displaced by less than this, pixels, stands still for all that keypoints of this noise can tell."""
+    return float(np.clip(STILL_SIGMAS * noise_px, STILL_PX, MOST_STILL_PX))
 
 
 class CameraPart:
@@ -77,8 +128,9 @@ class CameraPart:
         table: its landmarks.
         frames: what it has of solved frames, by number: the keyframes, the last one and the anchor.
         anchor: its side of the frame whose features are followed, if any.
-        surroundings: the first frame's features outside the object's region: what is later seen at the same place is
-            background.
+        surroundings: the first frame's features outside the object's region, and what was found to be background since:
+            what is later seen at the same place is background.
+        noise_px: of its keypoints, as the frames so far have it.
     """
 
     def __init__(self, index: int, camera: Camera) -> None:
@@ -87,6 +139,12 @@ class CameraPart:
         self.anchor: CameraAnchor | None = None
         self.surroundings = Features.none()
         self.table = LandmarkTable()
+        self.noise_px = 0.0
+
+    @property
+    def still_px(self) -> float:
+        """What is displaced by less than this, pixels, stands still for all that the camera's keypoints can tell."""
+        return still_of(self.noise_px)
 
     # --- seeing: nothing of it is remembered -------------------------------------------------------------------------
 
@@ -105,11 +163,15 @@ class CameraPart:
 
     def frame(self, features: Features) -> CameraFrame:
         """A frame to be solved; what the first frame has at the same place around the object is background."""
-        return CameraFrame(features, self.known_background(features), self.table)
+        return CameraFrame(features, self.known_background(features), self.table, still_px=self.still_px)
+
+    def blind(self) -> CameraFrame:
+        """A frame of which nothing is seen."""
+        return self.frame(Features.none())
 
     def known_background(self, features: Features) -> BoolArray:
         """(n,) features that the first frame had at the same place, outside the object's region."""
-        return seen_before(features, self.surroundings)
+        return seen_before(features, self.surroundings, self.still_px)
 
     def follow(
         self,
@@ -140,8 +202,18 @@ class CameraPart:
         radius: float,
     ) -> None:
         """What stood still where the object, at `now` (world_from_object), had moved by then is background."""
+        before = current.background.copy()
         for pair in pairs:
-            learn_background(pair, current, self.camera, known[pair.reference].world_from_object, now, radius)
+            pose = known[pair.reference].world_from_object
+            learn_background(pair, current, standing(pair, current, self.camera, pose, now, radius))
+        found = current.features.subset(current.background & ~before)
+        if len(self.surroundings) < MOST_SURROUNDINGS:
+            self.surroundings = Features.concatenate([self.surroundings, found])
+
+    def learn_noise(self, noise_px: float) -> None:
+        """What the features of another frame showed of the keypoints' noise; NaN: nothing."""
+        if np.isfinite(noise_px):
+            self.noise_px += (noise_px - self.noise_px) / (NOISE_MEMORY if self.noise_px else 1)
 
     def learn(
         self,
@@ -200,5 +272,5 @@ class CameraPart:
 
     def forget(self) -> None:
         """Everything: the object is looked for anew."""
-        self.frames, self.anchor, self.surroundings = {}, None, Features.none()
+        self.frames, self.anchor, self.surroundings, self.noise_px = {}, None, Features.none(), 0.0
         self.table = LandmarkTable()

@@ -20,7 +20,7 @@ from sylpose.numerics.matrices import covariance_of
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.anchor import Followed, suffices, with_new
-from sylpose.tracking.camera import CameraPart
+from sylpose.tracking.camera import CameraPart, SeenAgain
 from sylpose.tracking.crew import Crew
 from sylpose.tracking.frame import CameraFrame, Frame, Pair, inliers_of
 from sylpose.tracking.frame_solvers import Agreement, Problem, Solution, Solver
@@ -290,6 +290,8 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
     inliers = inliers_of(pairs, [w for w, _ in agreement])
     squares = np.concatenate([np.empty(0), *(r[w > 0] ** 2 for w, r in agreement)])
     indices = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in inliers)])
+    before = [pair.indices[pair.landmarks.moved, 1] for pair in pairs]
+    seen = SeenAgain.of(pairs, agreement, current.still_px, np.inf)
     return Agreed(
         matches=len(indices),
         tried=sum(map(len, pairs)),
@@ -297,6 +299,8 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
         weights=tuple(float(w.sum()) for w, _ in agreement),
         ages=Ages.of(np.concatenate([np.empty(0), *(pair.seen for pair in inliers)])),
         features=len(np.unique(indices)),
+        moved=seen.moved,
+        tried_moved=len(np.unique(np.concatenate([np.empty(0, np.int64), *before]))),
         residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
         sees=len(current.features) > 0,
     )

@@ -21,9 +21,11 @@ __all__ = [
     "Frame",
     "Pair",
     "SolvedFrame",
+    "away",
     "inliers_of",
     "learn_background",
     "match_pair",
+    "standing",
     "still",
     "triangulate",
 ]
@@ -42,12 +44,14 @@ class CameraFrame:
         features: of its image.
         background: (n,) which of them were found to stand still where the object moved; filled in as they are matched.
         table: the camera's landmarks; numbers: (n,) of the features in it, once the frame is solved.
+        still_px: a feature displaced by less than this stands still for all that the camera's keypoints can tell.
     """
 
     features: Features
     background: BoolArray
     table: LandmarkTable
     numbers: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    still_px: float = STILL_PX
 
     @property
     def landmarks(self) -> Landmarks:
@@ -168,8 +172,8 @@ def match_pair(reference: int, earlier: CameraFrame, current: CameraFrame) -> Pa
     a, b = earlier.features, current.features
     indices = match_features(a, b)
     known = earlier.background[indices[:, 0]]
-    standing = np.linalg.norm(a.pixels[indices[:, 0]] - b.pixels[indices[:, 1]], axis=1) < STILL_PX
-    current.background[indices[known & standing, 1]] = True
+    stands = np.linalg.norm(a.pixels[indices[:, 0]] - b.pixels[indices[:, 1]], axis=1) < current.still_px
+    current.background[indices[known & stands, 1]] = True
     return Pair.of(reference, earlier, b, indices[~known & ~current.background[indices[:, 1]]])
 
 
@@ -179,15 +183,20 @@ def inliers_of(pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> list[Pai
     return [pair for pair in kept if len(pair)]
 
 
-def still(pair: Pair) -> BoolArray:
+def still(pair: Pair, still_px: float = STILL_PX) -> BoolArray:
     """(n,) matches that stand still in the image."""
-    return np.asarray(np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1) < STILL_PX)
+    return np.asarray(np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1) < still_px)
 
 
-def learn_background(
+def away(known: Landmarks, pixels: FloatArray) -> FloatArray:
+    """(n,) how far landmarks are, now seen at some pixels (n, 2), from where they were seen first."""
+    return np.asarray(np.linalg.norm(pixels - known.origin, axis=1))
+
+
+def standing(
     pair: Pair, current: CameraFrame, camera: Camera, before: RigidTransform, now: RigidTransform, radius: float
-) -> None:
-    """Marks features as background in both frames: those that stand still where a point on the object moved.
+) -> BoolArray:
+    """(n,) matches that stand still where a point on the object moved.
 
     Args:
         before, now: world_from_object.
@@ -201,7 +210,11 @@ def learn_background(
         points = max(depth, 0.1 * middle) * np.column_stack([pair.normalized_i, np.ones(len(pair))])
         expected = camera.project(motion.apply(camera.camera_from_world.inv().apply(points)))
         moved = np.fmin(moved, np.linalg.norm(expected - pair.pixels_i, axis=1))
-    background = still(pair) & (moved > BACKGROUND_PX)
+    return still(pair, current.still_px) & (moved > BACKGROUND_PX - STILL_PX + current.still_px)
+
+
+def learn_background(pair: Pair, current: CameraFrame, background: BoolArray) -> None:
+    """Marks matches (n,) as background in both frames."""
     pair.earlier.background[pair.indices[background, 0]] = True
     current.background[pair.indices[background, 1]] = True
 

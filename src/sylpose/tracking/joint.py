@@ -20,13 +20,18 @@ from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.records import Agreed
 from sylpose.tracking.velocity import Velocity
 
-__all__ = ["Joint", "covariance_with_references"]
+__all__ = ["MIN_MOVED", "Joint", "covariance_with_references"]
 
 # An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
 # (object's radii) is less certain than this (choice).
 MAX_COASTING, COASTING_TURN, COASTING_SHIFT = 15, 0.35, 1.0
 # Frames besides the keyframes that are refined with them (choice).
 RECENT = 8
+
+
+# A pose is the object's, and not the background's, when so many of the features that agree with it have moved with it, and
+# this share of them (choice).
+MIN_MOVED, MOVED_SHARE = 8, 0.04
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +48,8 @@ class Joint:
         missed: frames since the last solved one.
         seen_again: frames in which it was seen, but not well enough, after it was missed.
         lost: whether nothing is known any more of where it is.
+        proven: whether it was ever seen to move against what stands still.
+        only_still: whether in the frame at hand only what never moved agreed with a pose.
     """
 
     object: ObjectModel = field(default_factory=ObjectModel)
@@ -54,6 +61,8 @@ class Joint:
     missed: int = 0
     seen_again: int = 0
     lost: bool = False
+    proven: bool = False
+    only_still: bool = False
 
     @property
     def base(self) -> SolvedFrame:
@@ -78,12 +87,13 @@ class Joint:
         """With the frame whose pose defines the object's frame."""
         return replace(self, last=first, keyframes=(first,))
 
-    def accepted(self, solved: SolvedFrame, motion: RigidTransform, *, anew: bool) -> Joint:
+    def accepted(self, solved: SolvedFrame, motion: RigidTransform, *, anew: bool, moved: int = 0) -> Joint:
         """With a solved frame.
 
         Args:
             motion: of the object since the last one.
             anew: whether it has features of its own, to be matched by their looks.
+            moved: how many of the features that agree with it have moved with the object, now or before.
         """
         velocity = self.velocity.forgotten(stands=self.lost) if self.missed else self.velocity
         if not self.lost:
@@ -99,7 +109,15 @@ class Joint:
             missed=0,
             seen_again=0,
             lost=False,
+            proven=self.proven or moved >= MIN_MOVED,
+            only_still=False,
         )
+
+    def may_be_background(self, agreed: Sequence[Agreed]) -> bool:
+        """Whether a pose is one that the background would have as well: of what agrees with it (by camera) next to nothing
+        was ever seen to move, though the object was. Before the object has moved there is nothing else."""
+        moved, features = sum(a.moved for a in agreed), sum(a.features for a in agreed)
+        return self.proven and moved < max(MIN_MOVED, MOVED_SHARE * features)
 
     def without(self, time: float) -> tuple[Joint, FloatArray]:
         """After a frame in which the object was not found: it is taken to have gone on as before, until that says nothing.
@@ -111,7 +129,8 @@ class Joint:
         covariance = last.covariance + self.velocity.spread(time - last.time, missed)
         sd = np.sqrt(np.diag(covariance))
         certain = sd[:3].max() < COASTING_TURN and sd[3:].max() < COASTING_SHIFT * self.object.radius
-        return replace(self, missed=missed, lost=self.lost or missed > MAX_COASTING or not certain), covariance
+        lost = self.lost or missed > MAX_COASTING or not certain
+        return replace(self, missed=missed, lost=lost, only_still=False), covariance
 
     def moved(self, frames: Mapping[int, SolvedFrame]) -> Joint:
         """With the poses of some frames, by number, refined."""

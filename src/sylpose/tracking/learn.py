@@ -15,7 +15,7 @@ from sylpose.results import FramePose, FrameStatus, Observable, Status
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.camera import SeenAgain
 from sylpose.tracking.find import Found, Region, Team
-from sylpose.tracking.frame import Frame, Pair, SolvedFrame, inliers_of, triangulate
+from sylpose.tracking.frame import Frame, Pair, SolvedFrame, triangulate
 from sylpose.tracking.joint import Joint, covariance_with_references
 from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.records import total_ages
@@ -26,7 +26,7 @@ from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.motion import motion_about
 from sylpose.two_frames.verdict import observed
 
-__all__ = ["accept_first", "accepted", "not_found", "triangulated", "with_surface"]
+__all__ = ["accept_first", "accepted", "first_points", "not_found", "triangulated", "with_surface"]
 
 # One camera sees a turn and its mirror image alike, with hollow for round: an object in a box is taken to be round, and its
 # middle to be nearer than its centre by this share of its radius (choice).
@@ -34,6 +34,8 @@ BULGE = 0.5
 # A camera of whose matches no more than this share agrees was rejected as a whole, where of another's this share does
 # (choice).
 REJECTED, HEARD = 0.2, 0.5
+# A camera that is doubted by this factor teaches nothing in that frame (choice).
+SILENT = 30.0
 # So many points show where an object's surface is (choice).
 MIN_POINTS = 20
 
@@ -78,7 +80,13 @@ def accept_first(
 
 def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[Joint, TrackedFrame]:
     """A frame is solved."""
-    crew, parts, base, frame, solution = team.crew, team.parts, joint.base, found.frame, found.solution
+    crew, parts, base, solution = team.crew, team.parts, joint.base, found.solution
+    # A camera that was rejected as a whole would teach landmarks that agree with what it sees, and be believed again.
+    doubt = _doubt(found)
+    on_it = np.array([a.tried_moved for a in found.agreed]) >= MIN_MATCHES  # else it may see something else
+    silent = on_it & (doubt > SILENT)
+    cameras = crew.each(lambda c: parts[c].blind() if silent[c] else found.frame.cameras[c])
+    frame = replace(found.frame, cameras=cameras)
     known, radius = joint.known, joint.object.radius
     pose = found.motion * base.world_from_object
     stood = solution.status is Status.NO_MOTION  # the pose is the base's, and so is its error
@@ -92,16 +100,19 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         pose,
         covariance,
         viewpoints(team.rig, pose),
-        np.array([a.sees for a in found.agreed]),
+        np.array([a.sees for a in found.agreed]) & ~silent,
         usual_age(total_ages([a.ages for a in found.agreed])),
     )
 
     def seen_again(c: int) -> SeenAgain:
         if found.first is not None:
             parts[c].table.learn(found.first[c])
+        if silent[c]:
+            return SeenAgain.none()
         if found.anew:
             parts[c].learn_background(found.pairs[c], frame.cameras[c], pose, known, radius)
-        return SeenAgain.of(inliers_of(found.pairs[c], [w for w, _ in solution.agreement[c]]), radius)
+        parts[c].learn_noise(found.agreed[c].residual_px)
+        return SeenAgain.of(found.pairs[c], solution.agreement[c], frame.cameras[c].still_px, radius)
 
     seen = crew.each(seen_again)
     model = joint.object
@@ -109,7 +120,9 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         for surface in crew.ask(lambda c: seen[c].surface):
             model = model.with_points(surface, team.seed)
     status = FrameStatus.RELOCALISED if joint.missed else FrameStatus.TRACKED
-    after = replace(joint, object=model).accepted(solved, found.motion, anew=found.anew)
+    after = replace(joint, object=model).accepted(
+        solved, found.motion, anew=found.anew, moved=sum(a.moved for a in found.agreed)
+    )
     # Where it was found again next to nothing is known of what else is seen: the next frame asks the keyframes too.
     begins = found.anew and team.follows and status is FrameStatus.TRACKED
     if begins:
@@ -121,10 +134,13 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         followed = None if found.followed is None else found.followed[c]
         part.learn(current, found.rig.cameras[c], pose, seen[c], model.points, radius)
         if followed is not None and not found.anew:
-            part.go_on(followed, found.pairs[c], [w for w, _ in solution.agreement[c]])
+            # Until the object has moved, what does not agree may be the object, and the rest background.
+            judged = after.proven and not silent[c]
+            weights = [w for w, _ in solution.agreement[c]]
+            part.go_on(followed, found.pairs[c] if judged else [], weights if judged else [])
         part.keep(frame.number, current, kept)
         if begins:
-            part.anchor_at(frame.number, frames.images[c], followed)
+            part.anchor_at(frame.number, frames.images[c], None if silent[c] else followed)
         before = None if followed is None else followed.before
         return shown(seen[c].inliers, current, base.number, before), sightings(seen[c].inliers, current)
 
@@ -138,7 +154,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         np.array([a.features for a in found.agreed], np.int64),
         np.array([a.residual_px for a in found.agreed]),
         Observable.NO_SCALE if len(team.rig) == 1 else Observable.ALL,
-        _doubt(found),
+        doubt,
         solution.faults,
     )
     matches, seen_now = crew.each(lambda c: learnt[c][0]), crew.each(lambda c: learnt[c][1])
@@ -158,13 +174,17 @@ def _doubt(found: Found) -> FloatArray:
 def not_found(
     joint: Joint, frames: FrameSet, ahead: RigidTransform, regions: Sequence[Region]
 ) -> tuple[Joint, TrackedFrame]:
-    """A frame in which the object was not found: it is taken to have gone on as before, until that says nothing.
+    """A frame in which the object was not found: it is taken to have gone on as before, until that says nothing. Where all
+    that agrees with a pose stands still and never moved, nothing is said of it.
 
     Args:
         ahead: world_from_object as predicted.
         regions: where it was looked for.
     """
+    only_still = joint.only_still
     joint, covariance = joint.without(frames.time)
+    if only_still:
+        return joint, unsolved_frame(frames, FrameStatus.ONLY_STILL, regions, joint.object.radius)
     if joint.lost:
         return joint, unsolved_frame(frames, FrameStatus.LOST, regions, joint.object.radius)
     return joint, unsolved_frame(frames, FrameStatus.COASTING, regions, joint.object.radius, ahead, covariance)
@@ -196,6 +216,21 @@ def with_surface(team: Team, joint: Joint, pairs: Sequence[Sequence[Pair]]) -> J
 
     crew.each(learn)
     return joint
+
+
+def first_points(
+    team: Team, c: int, inliers: Sequence[Pair], before: RigidTransform, now: RigidTransform
+) -> FloatArray:
+    """(m, 3) about where a camera's inliers are on the object. Where its motion tells next to nothing of their depth, they
+    are taken to be as far away as its middle."""
+    found = triangulated(team, c, inliers, before, now)
+    count = sum(map(len, inliers))
+    if 2 * len(found) > count or not count:
+        return found
+    camera = team.rig.cameras[c]
+    depth = camera.camera_from_world.apply(before.translation)[2]
+    rays = np.concatenate([np.column_stack([pair.normalized_i, np.ones(len(pair))]) for pair in inliers])
+    return np.asarray(before.inv().apply(camera.camera_from_world.inv().apply(depth * rays)))
 
 
 def triangulated(

@@ -15,8 +15,8 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
-from sylpose.results import FrameStatus, Status
-from sylpose.tracking.anchor import ANCHOR_SHARE, Followed
+from sylpose.results import FrameStatus
+from sylpose.tracking.anchor import ANCHOR_SHARE, Anchor, Followed
 from sylpose.tracking.find import (
     MAX_GROWTH,
     REGION_GROWTH,
@@ -34,22 +34,25 @@ from sylpose.tracking.find import (
     solved_from,
     split,
 )
-from sylpose.tracking.frame import Frame, Pair, match_pair
+from sylpose.tracking.frame import Frame, Pair, match_pair, standing
 from sylpose.tracking.joint import Joint
-from sylpose.tracking.learn import accept_first, accepted, not_found, triangulated, with_surface
+from sylpose.tracking.learn import accept_first, accepted, first_points, not_found, with_surface
 from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.start import FirstMotion, first_motion, is_ambiguous
+from sylpose.tracking.start import FirstMotion, first_motion, is_ambiguous, jitter_of
 from sylpose.tracking.tracked_frame import TrackedFrame, unsolved_frame
+from sylpose.tracking.velocity import Velocity
 from sylpose.tracking.window import is_due, refined
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.motion import motion_about
 
-__all__ = ["Waiting", "next_frame", "recover", "start", "steady"]
+__all__ = ["Waiting", "finish", "next_frame", "recover", "start", "steady"]
 
-# Without boxes nothing is known of the object until it moves: so many frames wait for that, with their images (choice).
-PATIENCE = 10
-# What moves by this much in the middle, pixels, is told from what does not; a smaller motion has to wait for a larger
-# one (choice).
+# Without boxes nothing is known of the object until it moves: so many frames wait for that, with their features (choice),
+PATIENCE = 60
+# and with their images, as long as these are no more than so many bytes (choice).
+WAITING_BYTES = 1 << 29
+# A motion of which not all is seen, a slide's length or a small turn, has to wait for one that moves by this much in the
+# middle, pixels, as long as there is any waiting (choice).
 FIRST_PX = 8.0
 AMBIGUOUS = (
     "Without boxes, what moves most is tracked; something else moved nearly as much. Boxes or masks of the object would "
@@ -139,7 +142,10 @@ def _found(
     pairs = matched(team, joint, frame, guess, followed, anew=anew)
     if joint.object.guessed:
         joint = with_surface(team, joint, pairs)
-    return joint, solved_from(team, joint, frame, pairs, guess, regions, followed, anew=anew)
+    found = solved_from(team, joint, frame, pairs, guess, regions, followed, anew=anew)
+    if found is not None and joint.may_be_background(found.agreed):
+        return replace(joint, only_still=True), None
+    return joint, found
 
 
 def _found_anywhere(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joint, Found | None]:
@@ -188,63 +194,123 @@ def start(
     if not waiting and sum(team.crew.ask(lambda c: len(features[c]))) < MIN_MATCHES:
         # Later ones need something to be compared with.
         return joint, [], [unsolved_frame(frames, FrameStatus.TOO_FEW_MATCHES)]
-    current = Waiting(team.frame(number, frames, features), frames)
-    if waiting:
-        pairs = _matched_with_first(team, waiting[0].frame, current.frame)
-        found = first_motion(team.crew, team.rig, pairs, waiting[0].frame.number, team.rng())
-        if found.fit.status is Status.OK and (found.shift_px > FIRST_PX or len(waiting) == PATIENCE):
-            return _begun(team, [*waiting, current], pairs, found)
-    if len(waiting) < PATIENCE:
-        return joint, [*waiting, current], []
-    return joint, [*waiting[1:], current], [unsolved_frame(waiting[0].frames, FrameStatus.NO_MOTION)]
+    waiting = [*waiting, Waiting(team.frame(number, frames, features), frames)]
+    status = FrameStatus.NO_MOTION
+    if len(waiting) > 1:
+        pairs, found = _first_motion(team, waiting)
+        over = len(waiting) > PATIENCE
+        if found.certain and (found.whole or found.shift_px > FIRST_PX or over):
+            begun = _begun(team, waiting, pairs, found)
+            if begun is not None:
+                return begun[0], [], begun[1]
+        status = found.nothing
+    if len(waiting) <= PATIENCE:
+        return joint, _lighter(waiting), []
+    return joint, waiting[1:], [unsolved_frame(waiting[0].frames, status)]
 
 
-def _matched_with_first(team: Team, first: Frame, current: Frame) -> list[list[Pair]]:
-    """By camera, each its own: matches of two frames of which none is solved."""
+def finish(team: Team, waiting: Sequence[Waiting]) -> list[TrackedFrame]:
+    """The frames that still wait at the recording's end: a smaller motion has to do, if there is any."""
+    status = FrameStatus.NO_MOTION
+    if len(waiting) > 1:
+        pairs, found = _first_motion(team, waiting)
+        begun = _begun(team, waiting, pairs, found) if found.certain else None
+        if begun is not None:
+            return begun[1]
+        status = found.nothing
+    return [unsolved_frame(waited.frames, status) for waited in waiting]
+
+
+def _lighter(waiting: Sequence[Waiting]) -> list[Waiting]:
+    """The frames that wait, without the images of the oldest but the first where they are too many to keep: their features
+    have to do."""
+    total = [sum(image.nbytes for image in its.images if image is not None) for _, its in waiting]
+    kept, light = sum(total), list(waiting)
+    for k in range(1, len(waiting)):
+        if kept <= WAITING_BYTES:
+            break
+        frame, its = waiting[k]
+        light[k] = Waiting(frame, replace(its, images=(None,) * len(its.images)))
+        kept -= total[k]
+    return light
+
+
+def _first_motion(team: Team, waiting: Sequence[Waiting]) -> tuple[list[list[Pair]], FirstMotion]:
+    """The last waiting frame's matches with the first, by camera, each its own, and the motion that they show."""
+    first, current = waiting[0].frame, waiting[-1].frame
 
     def of(c: int) -> list[Pair]:
         pair = match_pair(first.number, first.cameras[c], current.cameras[c])
         return [pair] if len(pair) else []
 
-    return team.crew.each(of, long=True)
+    pairs = team.crew.each(of, long=True)
+    return pairs, first_motion(team.crew, team.rig, pairs, first.number, team.rng())
 
 
 def _begun(
     team: Team, waiting: Sequence[Waiting], pairs: Sequence[Sequence[Pair]], found: FirstMotion
-) -> tuple[Joint, list[Waiting], list[TrackedFrame]]:
-    """The first motion, to the last of the frames that waited for it, tells where the object is; then they are solved in
-    order.
+) -> tuple[Joint, list[TrackedFrame]] | None:
+    """The first motion, to the last of the frames that waited for it, tells where the object is. That one is solved first;
+    with what it teaches of the object, the frames between are solved in order. None if what moved was no rigid body after
+    all.
 
     Args:
         pairs: matches of the last one with the first.
     """
-    crew, rig = team.crew, team.rig
+    crew, rig, parts = team.crew, team.rig, team.parts
     (first, first_frames), *others = waiting
     before = RigidTransform.from_translation(found.middle)
     now = motion_about(found.center, found.fit.rotation, found.fit.shift) * before
     model = ObjectModel(found.middle, found.radius)
-    points = crew.ask(lambda c: triangulated(team, c, found.inliers[c], before, now))
+    points = crew.ask(lambda c: first_points(team, c, found.inliers[c], before, now))
     joint = Joint(model.with_points(np.concatenate(points), team.seed))
     regions = regions_of(team, joint, before)
-    inside, around = split(team, features_of(team, first.cameras), regions)
+
+    def told_apart(c: int) -> tuple[Features, Features]:
+        """The first frame's features that may be the object's, and those that are around it or stood still as it moved."""
+        part, features = parts[c], first.cameras[c].features
+        for pair in pairs[c]:
+            part.learn_noise(jitter_of(pair))
+        stood = np.zeros(len(features), bool)
+        for pair in pairs[c]:
+            still = standing(pair, part.frame(Features.none()), part.camera, before, now, found.radius)
+            stood[pair.indices[still, 0]] = True
+        mine = part.inside(features, regions[c]) & ~stood
+        return features.subset(mine), features.subset(~mine)
+
+    apart = crew.each(told_apart)
+    inside, around = crew.each(lambda c: apart[c][0]), crew.each(lambda c: apart[c][1])
     frame = team.frame(first.number, first_frames, inside)
     joint, tracked = accept_first(team, joint, first_frames, frame, around, found.middle, regions)
-    decided = [tracked]
-    for waited, its in others:
-        # They were searched everywhere: what was at rest with the object would seem to belong to it.
-        pose = now if waited is others[-1].frame else joint.predicted(its.time)
-        regions = regions_of(team, joint, pose)
-        inside, _ = split(team, features_of(team, waited.cameras), regions)
-        joint, solved = _found(team, joint, team.frame(waited.number, its, inside), pose, regions)
-        if solved is None:
-            joint, tracked = not_found(joint, its, pose, regions)
-        else:
-            joint, tracked = accepted(team, joint, its, solved)
-        decided.append(tracked)
-    if not any(frame.pose.measured for frame in decided[1:]):
+    decided, begin, ends = [tracked], joint.base, others.pop()
+    joint, tracked = _solved_later(team, joint, ends, now)
+    if not (joint.proven and tracked.pose.measured):
         # What moved was no rigid body, or not for long: wait for another motion.
-        crew.each(lambda c: team.parts[c].forget())
-        return Joint(), list(others), [unsolved_frame(first_frames, FrameStatus.NOT_CONSISTENT)]
+        crew.each(lambda c: parts[c].forget())
+        return None
+    end, last = joint.base, tracked
+    # Nothing of the object's speed is known for the frames between.
+    joint = replace(joint, last=begin, keyframes=(begin, end), anchor=None, velocity=Velocity())
+    for waited in others:
+        joint, tracked = _solved_later(team, joint, waited, joint.predicted(waited.frames.time))
+        decided.append(tracked)
+    motion = end.world_from_object * joint.base.world_from_object.inv()
+    joint = joint.accepted(end, motion, anew=False)
+    joint = replace(joint, keyframes=tuple(sorted(joint.keyframes, key=lambda k: k.number)))
+    if team.follows:
+        crew.each(lambda c: parts[c].anchor_at(end.number, ends.frames.images[c], None))
+        joint = replace(joint, anchor=Anchor(end))
     if is_ambiguous(crew, rig, pairs, first.number, found, team.rng()):
         decided[0] = replace(decided[0], note=AMBIGUOUS)
-    return joint, [], decided
+    return joint, [*decided, last]
+
+
+def _solved_later(team: Team, joint: Joint, waited: Waiting, pose: RigidTransform) -> tuple[Joint, TrackedFrame]:
+    """A frame that has waited, from a guess of its pose (world_from_object). It was searched everywhere: what was at rest
+    with the object would seem to belong to it."""
+    regions = regions_of(team, joint, pose)
+    inside, _ = split(team, features_of(team, waited.frame.cameras), regions)
+    joint, found = _found(team, joint, team.frame(waited.frame.number, waited.frames, inside), pose, regions)
+    if found is None:
+        return not_found(joint, waited.frames, pose, regions)
+    return accepted(team, joint, waited.frames, found)

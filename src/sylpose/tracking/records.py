@@ -40,10 +40,14 @@ class Moved:
     Attributes:
         term: the matches.
         shift_px: (n,) by how much each is displaced, pixels.
+        jitter_px: by how much those that stand still scatter in each direction, pixels.
+        standing: how many these are.
     """
 
     term: TermData
     shift_px: FloatArray
+    jitter_px: float
+    standing: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +118,8 @@ class Agreed:
         matches: number of inliers, of so many matches that were tried.
         references: numbers of the frames they are matches with, and weights: the sum of each one's weights.
         ages: of the inliers' landmarks.
-        features: number of features that are inliers.
+        features: number of features that are inliers, and moved: of those that have moved with the object, now or before.
+        tried_moved: number of features, inliers or not, that were seen to move with the object before.
         residual_px: the rms of their residuals, NaN without any.
         sees: whether the frame has any feature of this camera.
     """
@@ -125,6 +130,8 @@ class Agreed:
     weights: tuple[float, ...]
     ages: Ages
     features: int
+    moved: int
+    tried_moved: int
     residual_px: float
     sees: bool
 

@@ -12,7 +12,7 @@ from sylpose.landmarks.camera_terms import CUTOFF
 from sylpose.landmarks.places import Landmarks
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.rig import Camera
-from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, still
+from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, away
 from sylpose.tracking.records import Ages, Chance
 
 __all__ = ["STILL_TRUST", "ages_of", "chance_of", "cut", "sights_of", "smear", "usual_age", "with_trust"]
@@ -26,8 +26,9 @@ TRUSTED = 1.2 * STILL_TRUST
 def sights_of(
     camera: Camera, pairs: Sequence[Pair], current: CameraFrame, base: SolvedFrame
 ) -> tuple[Sights, BoolArray]:
-    """A camera's matches of landmarks, carried to where the object was in the base frame, and (n,) which of them move or
-    did; their trust is for now in how many frames they were seen.
+    """A camera's matches of landmarks, carried to where the object was in the base frame, and (n,) which of them moved with
+    the object or are somewhere else than where they were first seen; their trust is for now in how many frames they were
+    seen.
 
     Args:
         camera: as it stood for this frame.
@@ -37,14 +38,14 @@ def sights_of(
     turn, center = base.world_from_object.rotation, base.world_from_object.translation
     points = turn.apply(known.mean).reshape(-1, 3)
     error = turn.apply(known.depth_error).reshape(-1, 3)
-    away = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
+    outwards = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
     # In how many frames each feature was seen, by the best known of its landmarks.
     seen = np.zeros(int(index.max(initial=-1)) + 1)
     np.maximum.at(seen, index, known.seen)
-    moving = np.concatenate([np.empty(0, bool), *(~still(pair) for pair in pairs)]) | known.moved
+    moving = (away(known, current.features.pixels[index]) > current.still_px) | known.moved
     sights = Sights(
         points=points,
-        depth_error=error * away[:, None],
+        depth_error=error * outwards[:, None],
         image=current.features.normalized[index],
         feature=index,
         trust=seen[index],

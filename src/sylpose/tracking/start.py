@@ -8,20 +8,39 @@ from dataclasses import dataclass
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.results import Status
+from sylpose.results import FrameStatus, Status
 from sylpose.rig import Rig
+from sylpose.tracking.camera import still_of
 from sylpose.tracking.crew import Crew
 from sylpose.tracking.frame import Pair, inliers_of, still
 from sylpose.tracking.frame_solvers import dealt, gathered
 from sylpose.tracking.records import Moved
-from sylpose.two_frames.fit import Fit, no_fit
+from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.solver import fit_terms
 from sylpose.two_frames.terms import object_place
+from sylpose.two_frames.verdict import observed
 
-__all__ = ["FirstMotion", "first_motion", "is_ambiguous"]
+__all__ = ["FirstMotion", "first_motion", "is_ambiguous", "jitter_of"]
 
 # Another motion with this share of the object's inliers might be the object as well (choice).
 RIVAL_SHARE = 0.5
+# What may be keypoints that stand still is displaced by less than this, pixels; their noise is measured by these, if more
+# than this share of them is displaced by less than half of it (choice).
+MAYBE_STILL_PX, STILL_SHARE = 4.0, 0.65
+# Rayleigh's distribution has its median at so many standard deviations (derived).
+RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
+# A camera sees a motion when so many matches agree with it that are displaced, in the middle, by this much, pixels, and by
+# so many times the noise of what stands still (choice).
+SIGNIFICANT, SIGNIFICANT_PX, SIGNIFICANT_SIGMAS = 6, 3.5, 7.0
+# A rigid motion must be likelier than displacements in random directions by this much per unknown, logarithm (choice:
+# Akaike's criterion asks for 1, Bayes' for half the logarithm of the number of matches).
+LIKELIER = 5.0
+# Unknowns of a motion, and of each camera's surface (derived).
+OF_MOTION, OF_SURFACE = 6, 6
+# This share of all matches goes astray, and does not mean that anything moved (choice).
+STRAY_SHARE = 0.05
+# Noise of keypoints at least, pixels (choice).
+LEAST_PX = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +53,10 @@ class FirstMotion:
         radius: of its inliers about the middle of them, `middle` (3,); NaN without any.
         count: number of inliers.
         shift_px: by how much they are displaced, in the middle; NaN without any.
+        certain: whether it is more than the noise of what stands still.
+        whole: whether all of it is seen, the size of the turn and the length of the way too.
+        nothing: what is to be said where that is not the object's motion: nothing was matched, nothing moved, or no rigid
+            body.
         inliers: by camera, each its own.
     """
 
@@ -43,7 +66,19 @@ class FirstMotion:
     radius: float
     count: int
     shift_px: float
+    certain: bool
+    whole: bool
+    nothing: FrameStatus
     inliers: Sequence[Sequence[Pair]]
+
+
+def jitter_of(pair: Pair) -> float:
+    """By how much keypoints that stand still scatter in each direction, pixels; the least where next to none do."""
+    shift = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
+    near = shift[shift < MAYBE_STILL_PX]
+    # What moves slowly is found at all these distances alike.
+    slow = np.count_nonzero(near < MAYBE_STILL_PX / 2) <= STILL_SHARE * len(near)
+    return LEAST_PX if slow else max(float(np.median(near)) / RAYLEIGH_MEDIAN, LEAST_PX)
 
 
 def first_motion(
@@ -54,30 +89,43 @@ def first_motion(
     Args:
         pairs: by camera, each its own.
     """
+    matches = sum(crew.ask(lambda c: sum(len(pair) for pair in pairs[c] if pair.reference == first)))
+    own = crew.each(lambda c: [pair for pair in pairs[c] if pair.reference == first])
+    jitter = crew.each(lambda c: [jitter_of(pair) for pair in own[c]])
 
     def moving_of(c: int) -> list[Pair]:
-        moving = [pair.subset(~still(pair)) for pair in pairs[c] if pair.reference == first]
-        return [pair for pair in moving if len(pair)]
+        return [pair.subset(~still(pair, still_of(px))) for pair, px in zip(own[c], jitter[c], strict=True)]
 
     moving = crew.each(moving_of)
 
     def moved(c: int) -> list[Moved]:
         return [
-            Moved(pair.term(c, rig.cameras[c]), np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1))
-            for pair in moving[c]
+            Moved(
+                pair.term(c, rig.cameras[c]),
+                np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1),
+                px,
+                len(everything) - len(pair),
+            )
+            for pair, everything, px in zip(moving[c], own[c], jitter[c], strict=True)
+            if len(pair)
         ]
 
     records = crew.ask(moved)
     terms = [[record.term for record in of_camera] for of_camera in records]
     data, nowhere = gathered(terms), np.full(3, np.nan)
+    nothing = FrameStatus.TOO_FEW_MATCHES if matches < MIN_MATCHES else FrameStatus.NO_MOTION
+    if sum(map(len, data)) > max(MIN_MATCHES, STRAY_SHARE * matches):
+        nothing = FrameStatus.NOT_CONSISTENT
     if not data:
         fit = no_fit(data, Status.TOO_FEW_MATCHES)
-        return FirstMotion(fit, nowhere, nowhere, np.nan, 0, np.nan, crew.each(lambda _: []))
+        return FirstMotion(fit, nowhere, nowhere, np.nan, 0, np.nan, False, False, nothing, crew.each(lambda _: []))
     center, radius = object_place(data)
     fit = fit_terms(data, center, radius, [], rng)
     agreement = dealt(fit, terms)
-    shifts = [record.shift_px for of_camera in records for record in of_camera]
-    good = [(term.subset(w > 0), shift[w > 0]) for term, shift, w in zip(data, shifts, fit.weights, strict=True)]
+    told = [record for of_camera in records for record in of_camera]
+    good = [
+        (term.subset(w > 0), record.shift_px[w > 0]) for term, record, w in zip(data, told, fit.weights, strict=True)
+    ]
     good = [(term, shift) for term, shift in good if len(term)]
     middle, size = object_place([term for term, _ in good]) if good else (nowhere, np.nan)
     displacement = np.concatenate([np.empty(0), *(shift for _, shift in good)])
@@ -88,8 +136,34 @@ def first_motion(
         size,
         len(displacement),
         float(np.median(displacement)) if len(displacement) else np.nan,
-        crew.each(lambda c: inliers_of(moving[c], [w for w, _ in agreement[c]])),
+        _is_certain(fit, told, min(2, len(rig))),
+        fit.status is Status.OK and observed(fit, size).status is Status.OK,
+        nothing,
+        crew.each(lambda c: inliers_of([pair for pair in moving[c] if len(pair)], [w for w, _ in agreement[c]])),
     )
+
+
+def _is_certain(fit: Fit, told: Sequence[Moved], cameras: int) -> bool:
+    """Whether a motion is more than the noise of keypoints that stand still: so many cameras at least see it, and it is
+    likelier than that the matches are displaced as they are in directions of their own.
+
+    A displacement by d in any direction has the share 1 / (π √(d² - r²)) of a component r; a rigid motion, which says where
+    the match's epipolar line is, has Gauss's of a residual r.
+    """
+    likelier, seeing = 0.0, 0
+    for record, w, across in zip(told, fit.weights, fit.residuals, strict=True):
+        good = w > 0
+        if not good.any():
+            continue
+        r, shift = np.abs(across[good]), record.shift_px[good]
+        sigma = max(LEAST_PX, record.jitter_px, float(np.sqrt(np.mean(r**2))))
+        by_chance = 1.0 / (np.pi * np.sqrt(np.maximum(shift**2 - r**2, sigma**2)))
+        motion = np.exp(-0.5 * (r / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
+        gain = float(np.log(motion / by_chance).sum()) - LIKELIER * OF_SURFACE
+        far = float(np.median(shift)) > max(SIGNIFICANT_PX, SIGNIFICANT_SIGMAS * record.jitter_px)
+        seeing += bool(good.sum() >= SIGNIFICANT and far and gain > 0)
+        likelier += gain
+    return seeing >= cameras and likelier > LIKELIER * OF_MOTION
 
 
 def is_ambiguous(
@@ -112,4 +186,4 @@ def is_ambiguous(
         return [pair.subset(~np.isin(pair.indices[:, 0], taken)) for pair in pairs[c]]
 
     other = first_motion(crew, rig, crew.each(others_of), first, rng)
-    return other.fit.status is Status.OK and other.count > RIVAL_SHARE * found.count
+    return other.fit.status is Status.OK and other.certain and other.count > RIVAL_SHARE * found.count

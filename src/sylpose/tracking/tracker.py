@@ -9,7 +9,6 @@ import numpy as np
 
 from sylpose.frames import Box, FrameSet
 from sylpose.methods import FEATURES, METHODS, features_of
-from sylpose.results import FrameStatus
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.crew import OneProcess
@@ -17,8 +16,8 @@ from sylpose.tracking.find import Team
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.phases import Waiting, next_frame
-from sylpose.tracking.tracked_frame import TrackedFrame, unsolved_frame
+from sylpose.tracking.phases import Waiting, finish, next_frame
+from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["Tracker", "track"]
 
@@ -120,6 +119,6 @@ class Tracker:
         return decided
 
     def flush(self) -> list[TrackedFrame]:
-        """The frames still undecided at the recording's end: the object never moved."""
+        """The frames still undecided at the recording's end: the object moved little, or never."""
         waiting, self._waiting = self._waiting, []
-        return [unsolved_frame(waited.frames, FrameStatus.NO_MOTION) for waited in waiting]
+        return finish(self._team, waiting)
