@@ -20,7 +20,8 @@ from sylpose.rig import Camera, Rig
 from sylpose.simulate import ellipsoid, ring
 from sylpose.smoothing.bundle import Bundled, Observations, bundle
 from sylpose.smoothing.kernels import Sightings, Views, derivatives, residuals
-from sylpose.smoothing.problem import PRIOR_RADII, Problem, _log_slope
+from sylpose.smoothing.problem import DEPTH_RADII, SIDE_RADII, Problem, _log_slope
+from sylpose.smoothing.shared import SLOPE_SD, usual_surfaces
 
 RADIUS = 0.15
 RIG = ring(4, 1.5, 1000.0, height=(0.4, -0.1, 0.2, 0.5))
@@ -105,7 +106,6 @@ def test_exact_without_noise() -> None:
 def test_derivatives(seed: int) -> None:
     rng = np.random.default_rng(seed)
     camera = RIG.cameras[seed % 4]
-    q = camera.rotation
     turn, place, point = (
         Rotation.random(rng=rng).as_matrix(),
         0.1 * rng.standard_normal(3),
@@ -117,27 +117,36 @@ def test_derivatives(seed: int) -> None:
         np.zeros(1, np.int64),
         np.zeros(1, np.int64),
         0.1 * rng.standard_normal((1, 2)),
+        0.3 * rng.standard_normal((1, 2, 4)),
         np.zeros(1, np.int64),
+        np.zeros(1, np.int64),
+        np.zeros((1, 3)),
+        np.zeros((1, 3)),
     )
+    before = 0.05 * rng.standard_normal(14)  # offset, surface (3), turn (3), shift (3), lens (4)
 
     def views(x: FloatArray) -> Views:
-        carried = Rotation.from_rotvec(x[6] * spin).as_matrix()
-        b = q @ (place + x[3:6] + x[6] * drift - camera.center)
+        shared = before + x[6:20]
+        q = Rotation.from_rotvec(shared[4:7]).as_matrix() @ camera.rotation
+        late = shared[0] - before[0]
+        carried = Rotation.from_rotvec(late * spin).as_matrix()
+        b = q @ (place + x[3:6] + late * drift - camera.center - shared[7:10])
         r = Rotation.from_rotvec(x[:3]).as_matrix() @ turn
         m, b, qs, qd = (v[None, None] for v in (q @ carried, b, q @ spin, q @ drift))
-        return Views(r[None], m, b, qs, qd, q[None].copy(), np.array([camera.focal]))
+        twist = np.asarray(np.linalg.inv(_log_slope(shared[None, 4:7])), float)
+        return Views(r[None], m, b, qs, qd, q[None], twist, np.array([camera.focal]), shared[None])
 
     def residual(x: FloatArray) -> FloatArray:
         out = np.empty((1, 2))
-        residuals(seen, views(x), (point + x[7:])[None], out)
+        residuals(seen, views(x), (point + x[20:])[None], out)
         return np.asarray(out[0])
 
-    e, by_pose, by_point = np.empty(2), np.empty((2, 7)), np.empty((2, 3))
-    derivatives(seen, views(np.zeros(10)), point, 0, e, by_pose, by_point)
+    e, by_pose, by_shared, by_point = np.empty(2), np.empty((2, 6)), np.zeros((2, 14)), np.empty((2, 3))
+    derivatives(seen, views(np.zeros(23)), point, 0, e, by_pose, by_shared, by_point)
     h = 1e-6
-    numeric = np.column_stack([(residual(h * u) - residual(-h * u)) / (2 * h) for u in np.eye(10)])
-    np.testing.assert_allclose(e, residual(np.zeros(10)), rtol=1e-12)
-    np.testing.assert_allclose(np.hstack([by_pose, by_point]), numeric, rtol=1e-6, atol=1e-4)
+    numeric = np.column_stack([(residual(h * u) - residual(-h * u)) / (2 * h) for u in np.eye(23)])
+    np.testing.assert_allclose(e, residual(np.zeros(23)), rtol=1e-12)
+    np.testing.assert_allclose(np.hstack([by_pose, by_shared, by_point]), numeric, rtol=1e-6, atol=2e-4)
 
 
 @given(st.integers(0, 10**6))
@@ -163,23 +172,42 @@ def test_agrees_with_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
     poses = path(np.arange(4))
     seen = tracks([poses] * 4, 10, 0.5, 3)
     start = off(poses)
-    found = bundle(RIG, seen, start, RADIUS)
+    given = bundle(RIG, seen, start, RADIUS).landmarks
+    found = bundle(RIG, seen, start, RADIUS, landmarks=given)
     names, landmark = np.unique(seen.landmark, return_inverse=True)
     sigma = found.sigma_px[seen.camera]
     # The same weights: least squares where the re-weighting ended.
     weight = np.sqrt(found.weights) / sigma * np.array([c.focal for c in RIG])[seen.camera]
     q, o = np.array([c.rotation for c in RIG])[seen.camera], np.array([c.center for c in RIG])[seen.camera]
 
+    # Where each landmark was first seen from: frames do not fall, nor do cameras within one.
+    by_landmark = np.lexsort((seen.camera, seen.frame, landmark))
+    first = by_landmark[np.searchsorted(landmark[by_landmark], np.arange(len(names)))]
+    viewer, at = seen.camera[first], seen.frame[first]
+    turns, centers = start.rotation.as_matrix()[at], np.array([c.center for c in RIG])[viewer]
+    toward = np.einsum("mji,mj->mi", turns, centers - start.translation[at])
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    axes = np.einsum("mji,mkj->mki", turns, np.array([c.rotation for c in RIG])[viewer][:, :2])
+    axes -= np.einsum("mki,mi->mk", axes, toward)[..., None] * toward[:, None]
+    aside = np.clip(np.einsum("mki,mi->mk", axes, given[names]), -RADIUS, RADIUS)
+    used = np.bincount(landmark, found.weights) > 0  # others say nothing of the surface
+    mean, covariance = usual_surfaces(RADIUS, 4)
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+
     def terms(x: FloatArray) -> FloatArray:
-        steps, points = np.zeros((4, 6)), x[18:].reshape(-1, 3)
+        steps, points = np.zeros((4, 6)), x[30:].reshape(-1, 3)
+        depth, slopes = x[18:22], x[22:30].reshape(4, 2)
         steps[1:] = x[:18].reshape(3, 6)
         turn = Rotation.from_rotvec(steps[:, :3]) * start.rotation
         world = turn[seen.frame].apply(points[landmark]) + (start.translation + steps[:, 3:])[seen.frame]
         p = np.einsum("nij,nj->ni", q, world - o)
         e = weight[:, None] * (p[:, :2] / p[:, 2:] - seen.image)
-        return np.concatenate([e.ravel(), points.ravel() / (PRIOR_RADII * RADIUS)])
+        surface = depth[viewer] + np.einsum("mk,mk->m", slopes[viewer], aside)
+        above = used * (np.einsum("mi,mi->m", toward, points) - surface) / (DEPTH_RADII * RADIUS)
+        believed = [root @ (depth - mean), slopes.ravel() / SLOPE_SD, points.ravel() / (SIDE_RADII * RADIUS)]
+        return np.concatenate([e.ravel(), above, *believed])
 
-    x0 = np.concatenate([np.zeros(18), found.landmarks[names].ravel()])
+    x0 = np.concatenate([np.zeros(18), mean, np.zeros(8), found.landmarks[names].ravel()])
     x = least_squares(terms, x0, x_scale="jac", xtol=1e-14, ftol=1e-14).x[:18].reshape(3, 6)
     turn = Rotation.from_rotvec(x[:, :3]) * start.rotation[1:]
     expected = RigidTransform.from_components(start.translation[1:] + x[:, 3:], turn)
@@ -378,3 +406,42 @@ def test_bad_input(short: tuple[RigidTransform, Observations]) -> None:
             bundle(RIG, seen, poses, RADIUS, **options)
     with pytest.raises(ValueError, match="radius"):
         bundle(RIG, seen, poses, -1.0)
+
+
+def test_a_slide_has_the_length_that_is_believed() -> None:
+    """Nothing tells it, however many landmarks and frames there are; a turn does."""
+    normalised, off_by, said = [], [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        way = rng.standard_normal(3)
+        poses = RigidTransform.from_translation(np.linspace(0.0, 0.2, 8)[:, None] * way / np.linalg.norm(way))
+        for factor in (0.7, 1.5):
+            found = bundle(RIG, tracks([poses] * 4, 40, 0.4, seed), off(poses, 0.2, 0.002), factor * RADIUS)
+            e, d = error(poses, found.world_from_object)[-1], poses.translation[-1]
+            normalised.append(e @ np.linalg.solve(found.covariance[-1], e))
+            off_by.append(found.world_from_object.translation[-1] @ d / (d @ d) - 1.0)
+            said.append(found.length_sd)
+            assert found.length_share > 0.9
+    assert 1.5 < np.mean(normalised) < 9.0
+    assert max(normalised) < 30.0
+    assert 0.01 < np.sqrt(np.mean(np.square(off_by))) < 0.06
+    assert 0.02 < min(said) < max(said) < 0.12
+    turning = bundle(RIG, tracks([path(np.arange(12))] * 4, 30, 0.5, 0), off(path(np.arange(12))), RADIUS)
+    assert turning.length_sd < 0.02
+    assert turning.length_share < 0.6
+
+
+def test_surfaces_that_are_known() -> None:
+    """What is believed of them is what the length of a slide comes from."""
+    poses = RigidTransform.from_translation(np.linspace(0.0, 1.0, 8)[:, None] * np.array([0.1, 0.1, 0.0]))
+    seen, lengths = tracks([poses] * 4, 40, 0.4, 3), []
+    for depth in (0.05, 0.08):
+        found = bundle(RIG, seen, off(poses, 0.2, 0.002), RADIUS, surfaces=(np.full(4, depth), 1e-6 * np.eye(4)))
+        lengths.append(float(np.linalg.norm(found.world_from_object.translation[-1])))
+        assert found.length_sd < 0.005
+    # The nearer the surface, the shorter the way: by as much of its distance.
+    assert 0.9 < (lengths[0] / lengths[1] - 1.0) / (0.03 / 1.5) < 1.2
+    with pytest.raises(ValueError, match="positive definite"):
+        bundle(RIG, seen, poses, RADIUS, surfaces=(np.zeros(4), -np.eye(4)))
+    with pytest.raises(ValueError, match="surfaces: mean: shape"):
+        bundle(RIG, seen, poses, RADIUS, surfaces=(np.zeros(3), np.eye(4)))

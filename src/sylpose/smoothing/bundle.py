@@ -1,8 +1,9 @@
-"""Joint refinement of a whole trajectory: all poses, all landmarks and, if asked, how far apart in time the cameras are.
+"""Joint refinement of a whole trajectory: all poses, all landmarks, and what each camera has once for all frames: how far in
+front of the object the surface is that it sees and, if asked, by how much it is late.
 
 Robust least squares on reprojection errors ("bundle adjustment") with static, calibrated cameras: a landmark X of the
 object is seen by camera c in frame k at project(Q_c (R_k X + t_k - o_c)). Levenberg-Marquardt with re-weighting; the
-landmarks are eliminated (Schur complement), which leaves six unknowns per frame.
+landmarks are eliminated (Schur complement), which leaves six unknowns per frame and a border of what cameras share.
 
 Source: B. Triggs, P. McLauchlan, R. Hartley, A. Fitzgibbon, "Bundle adjustment - a modern synthesis", 2000.
 """
@@ -14,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import helmert
 from scipy.sparse import block_array, coo_array, csr_array, eye_array, tril
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -22,8 +22,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.smoothing.kernels import Sightings
-from sylpose.smoothing.problem import Problem, State
+from sylpose.smoothing.kernels import OFFSET, Sightings
+from sylpose.smoothing.length import noise_share
+from sylpose.smoothing.problem import Fit, Problem, State
+from sylpose.smoothing.shared import offsets_and_surfaces, usual_surfaces
 
 __all__ = ["Bundled", "Observations", "bundle"]
 
@@ -42,6 +44,10 @@ MAX_TRIES = 8
 # Every pose is known to half a turn and to some of the object's radii around its start: what nothing ties stays there
 # (choice).
 WEAK_TURN, WEAK_RADII = np.pi, 10.0
+
+# Surfaces stay where they are believed to be when more than this share of what seems to tell where they are is noise
+# (measured: docs/benchmarks.md, "Slides").
+NOISE_SHARE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +88,9 @@ class Bundled:
         rounds: of Levenberg-Marquardt.
         excess: (N,) by what the variances are larger than independent noise of sigma_px would have them, at least 1:
             errors are alike along tracks, and where the calibration is off (`spread`).
+        length_sd: relative standard deviation of the path's length, all displacements of the object's origin being too
+            long or too short by one factor: what a motion without turns leaves open. inf when nothing was displaced.
+        length_share: in [0, 1], the share of it in the variance of all displacements.
     """
 
     status: Status
@@ -96,6 +105,8 @@ class Bundled:
     offsets_sd: FloatArray
     rounds: int
     excess: FloatArray
+    length_sd: float
+    length_share: float
 
 
 def bundle(
@@ -109,6 +120,7 @@ def bundle(
     information: ArrayLike | None = None,
     times: ArrayLike | None = None,
     offsets_sd: float | None = None,
+    surfaces: tuple[ArrayLike, ArrayLike] | None = None,
     max_rounds: int = 30,
     on_round: Callable[[int], None] | None = None,
 ) -> Bundled:
@@ -118,14 +130,17 @@ def bundle(
         rig: C cameras.
         seen: n observations; landmarks seen by several cameras or found again later tie more, but need not exist.
         world_from_object: N poses, about right.
-        radius: of the object: its landmarks are at the origin of its frame give or take three times as much, a weak prior
-            that keeps those with little parallax in place.
+        radius: of the object.
         landmarks: (M, 3) where to start, object's frame; None: where the rays meet.
         fixed: (N,) frames whose poses stay, at least one; None: the first.
         information: (N, 6, 6) of (w, d), what is known of the poses beside the observations: they were measured as given.
         times: (N,) or (N, C) seconds: when each camera took each frame. The pose of a frame is that at the mean of its
             times; each camera's own instant is reached along a parabola through neighbouring poses. Rising; None: 0, 1, ...
         offsets_sd: seconds; if given, the cameras' time offsets are estimated, starting from zero plus or minus this.
+        surfaces: mean (C,) and covariance (C, C), length units, of how far the surface that a camera sees is in front of the
+            object's origin, towards that camera: its landmarks lie on it give or take three radii and a slope. What is
+            believed of it does not average out, so it is all that tells the length of a motion without turns; any turn
+            soon tells more. None: `usual_surfaces`, those of ordinary bodies of the radius.
         max_rounds: bound.
         on_round: called with the number of each round as it begins.
 
@@ -149,15 +164,19 @@ def bundle(
     if (np.diff(moments) <= 0).any():
         raise ValueError("times: must rise from frame to frame")
 
+    turns, places = np.atleast_3d(world_from_object.rotation.as_matrix()), world_from_object.translation
+    turns, places = turns.reshape(-1, 3, 3), places.reshape(-1, 3)
     order, names, sightings = _sorted(seen, stays)
     often = np.diff(sightings.start) >= 2
     tied = _tied(sightings, often, stays | known.any(axis=(1, 2)))
-    turns, places = np.atleast_3d(world_from_object.rotation.as_matrix()), world_from_object.translation
-    turns, places = turns.reshape(-1, 3, 3), places.reshape(-1, 3)
-    free_cameras = np.unique(seen.camera) if offsets_sd is not None else np.empty(0, np.int64)
-    basis = np.zeros((n_cameras, max(len(free_cameras) - 1, 0)))
-    if len(free_cameras) > 1:
-        basis[free_cameras] = helmert(len(free_cameras)).T  # all that leaves the mean alone
+    depth, depth_covariance = usual_surfaces(radius, n_cameras) if surfaces is None else surfaces
+    shared = offsets_and_surfaces(
+        n_cameras,
+        offsets_sd,
+        np.unique(sightings.camera),
+        _finite("surfaces: mean", depth, (n_cameras,)),
+        _finite("surfaces: covariance", depth_covariance, (n_cameras, n_cameras)),
+    )
     weak = np.repeat([WEAK_TURN**-2, (WEAK_RADII * radius) ** -2], 3)
     shifts = instants - moments[:, None]
     problem = Problem(
@@ -170,23 +189,30 @@ def bundle(
         radius=radius,
         times=moments,
         shifts=shifts,
-        timed=bool(np.abs(shifts).max() > 0) or basis.shape[1] > 0,
-        offsets_sd=1.0 if offsets_sd is None else offsets_sd,
-        basis=basis,
+        timed=bool(np.abs(shifts).max() > 0) or shared.n_offsets > 0,
+        shared=shared,
         rotations=np.array([camera.rotation for camera in rig]),
         centers=np.array([camera.center for camera in rig]),
         focals=np.array([camera.focal for camera in rig]),
     )
-    state = State(turns, places, np.zeros((len(names), 3)), np.zeros(n_cameras), np.zeros((n_frames, 2, 6)))
+    state = State(
+        turns, places, np.zeros((len(names), 3)), np.zeros(shared.spread.shape[2]), np.zeros((n_frames, 2, 6))
+    )
     state = problem.with_motion(state)
     state = replace(state, points=problem.where_rays_meet(state) if given is None else given[names])
+    problem = _on_surfaces(problem, state)
     if (tied & ~stays).any():
         fit = _minimise(problem, state, max_rounds, on_round)
     else:
         unknown, e = np.zeros(len(seen)), problem.residuals(state)
         sigma = problem.noise(e, unknown)
-        fit = _Fit(state, Status.TOO_FEW_MATCHES, 0, problem.weights(e, sigma), sigma, unknown)
-    state, summary = fit.state, problem.summary(fit.state, fit.weights, fit.sigma, fit.leverage)
+        fit = Fit(state, Status.TOO_FEW_MATCHES, 0, problem.weights(e, sigma), sigma, unknown)
+    summary = problem.summary(fit, tied)
+    if (tied & ~stays).any() and noise_share(problem, fit, summary, tied) > NOISE_SHARE:
+        problem = problem.with_depths_held()
+        fit = _minimise(problem, replace(fit.state, z=np.where(shared.depths, 0.0, fit.state.z)), max_rounds, on_round)
+        summary = problem.summary(fit, tied)
+    state = fit.state
 
     points = np.zeros((n_landmarks, 3)) if given is None else given.copy()
     points[names] = state.points
@@ -195,7 +221,7 @@ def bundle(
     asked = offsets_sd is not None
     unused = np.setdiff1d(np.arange(n_cameras), seen.camera)
     summary.sigma[unused] = np.nan
-    spread = np.sqrt(np.maximum(np.diag(summary.offsets_covariance), 0.0))
+    spread = np.sqrt(np.einsum("ck,kl,cl->c", shared.spread[:, OFFSET], summary.shared, shared.spread[:, OFFSET]))
     if asked:
         spread[unused] = offsets_sd
     return Bundled(
@@ -207,26 +233,16 @@ def bundle(
         summary.sigma,
         weights,
         distances,
-        state.offsets,
+        shared.of(state.z)[:, OFFSET],
         spread,
         fit.rounds,
         summary.excess,
+        summary.length_sd,
+        summary.length_share,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """Where the search settled, with the weights (n,), the noise (C,) and the leverage (n,) it ended with."""
-
-    state: State
-    status: Status
-    rounds: int
-    weights: FloatArray
-    sigma: FloatArray
-    leverage: FloatArray
-
-
-def _minimise(problem: Problem, state: State, max_rounds: int, on_round: Callable[[int], None] | None) -> _Fit:
+def _minimise(problem: Problem, state: State, max_rounds: int, on_round: Callable[[int], None] | None) -> Fit:
     """Levenberg-Marquardt with re-weighting, from a state to where it settles."""
     e = problem.residuals(state)
     sigma = np.full(len(problem.focals), np.inf)
@@ -247,23 +263,23 @@ def _minimise(problem: Problem, state: State, max_rounds: int, on_round: Callabl
         system = problem.system(state, views, scaled)
         leverage = system.reduced.leverage
         for _ in range(MAX_TRIES):
-            step, offsets, size = system.solve(damping)
-            trial = problem.moved(state, views, scaled, step, offsets)
+            step, z, size = system.solve(damping)
+            trial = problem.moved(state, views, scaled, step, z)
             e = problem.residuals(trial)
             if problem.cost(e, sigma, trial, held) <= cost * (1.0 + 1e-12) or size < 1e-3 * SETTLED:
                 break
             damping = max(30.0 * damping, 1e-5)
         else:
-            return _Fit(state, Status.NOT_CONVERGED, rounds, weights, sigma, leverage)
+            return Fit(state, Status.NOT_CONVERGED, rounds, weights, sigma, leverage)
         damping = damping / 30.0 if damping > 1e-5 else 0.0
         state = problem.with_motion(trial)
         if problem.timed:
             e = problem.residuals(state)
         if settled and size < SETTLED:
-            return _Fit(state, Status.OK, rounds, weights, sigma, leverage)
+            return Fit(state, Status.OK, rounds, weights, sigma, leverage)
         if settled and held is None and (size < WEIGHTS_SETTLED * len(state.turns) or rounds >= WEIGHTS_ROUNDS):
             held = problem.weights(e, sigma)
-    return _Fit(state, Status.NOT_CONVERGED, max_rounds, weights, sigma, leverage)
+    return Fit(state, Status.NOT_CONVERGED, max_rounds, weights, sigma, leverage)
 
 
 def _finite(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
@@ -301,13 +317,29 @@ def _check_observations(seen: Observations, n_frames: int, n_cameras: int, n_lan
 
 
 def _sorted(seen: Observations, stays: BoolArray) -> tuple[IntArray, IntArray, Sightings]:
-    """Order of the observations (n,), indices of the landmarks that are seen (m,), and the sightings."""
+    """Order of the observations (n,), indices of the landmarks that are seen (m,), and the sightings; no surfaces yet."""
     order = np.lexsort((seen.camera, seen.frame, seen.landmark))
     names, counts = np.unique(seen.landmark, return_counts=True)
     free = np.where(stays, -1, np.cumsum(~stays) - 1).astype(np.int64)
     frame, camera = (np.asarray(index[order], np.int64) for index in (seen.frame, seen.camera))
     start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return order, names, Sightings(start, frame, camera, np.ascontiguousarray(seen.image[order], dtype=float), free)
+    image, lens = np.ascontiguousarray(seen.image[order], dtype=float), np.zeros((len(order), 2, 0))
+    nothing = np.zeros((len(names), 3))
+    return order, names, Sightings(start, frame, camera, image, lens, free, camera[start[:-1]], nothing, nothing)
+
+
+def _on_surfaces(problem: Problem, state: State) -> Problem:
+    """With where each landmark was first seen from, and how far to the side of the object's origin it then was."""
+    seen, reach = problem.sightings, problem.radius
+    k, viewer = seen.frame[seen.start[:-1]], seen.viewer
+    back = state.turns[k].transpose(0, 2, 1)
+    toward = np.einsum("mij,mj->mi", back, problem.centers[viewer] - state.places[k])
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    axes = np.einsum("mij,mkj->mki", back, problem.rotations[viewer][:, :2])
+    axes -= np.einsum("mki,mi->mk", axes, toward)[..., None] * toward[:, None]
+    aside = np.clip(np.einsum("mki,mi->mk", axes, state.points), -reach, reach)
+    across = np.column_stack([np.ones(len(aside)), aside])
+    return replace(problem, sightings=seen._replace(toward=toward, across=across))
 
 
 def _incidence(sightings: Sightings, rows: IntArray, n_rows: int, often: BoolArray) -> csr_array:

@@ -8,22 +8,17 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.robust import biquartic_losses, biquartic_on_noise, biquartic_weights, robust_sigma
-from sylpose.smoothing.kernels import (
-    BEHIND_PX,
-    Reduced,
-    Sightings,
-    Views,
-    reduce,
-    residuals,
-    substitute,
-)
+from sylpose.results import Status
+from sylpose.smoothing.elimination import Reduced, reduce, substitute
+from sylpose.smoothing.kernels import BEHIND_PX, DEPTH, OFFSET, SHIFT, TURN, Sightings, Views, residuals
 from sylpose.smoothing.rays import where_rays_meet
+from sylpose.smoothing.shared import Shared
 from sylpose.smoothing.spread import excess_variance
-from sylpose.smoothing.system import System
+from sylpose.smoothing.system import Solver, System
 
-__all__ = ["Problem", "State", "Summary"]
+__all__ = ["SIDE_RADII", "Fit", "Problem", "State", "Summary"]
 
 
 # Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five (choice).
@@ -34,35 +29,50 @@ SHRINKAGE = biquartic_on_noise(CUTOFF).shrinkage
 SIGMA_FLOOR_PX = 0.1
 # Degrees of freedom from which a camera's own noise level counts as much as that of all cameras together (choice).
 OWN_FREEDOM = 20.0
-# Landmarks are about the origin give or take so many of the object's radii. While the state is refined this keeps those
-# with little parallax in place; for the covariance it is nearly left out: linearised, a sphere's prior of many landmarks
-# seems to know which way the object is turned (choice).
-PRIOR_RADII, PRIOR_RADII_COVARIANCE = 3.0, 300.0
+# Landmarks lie on their viewer's surface give or take so many of the object's radii, which keeps those with little
+# parallax in place; less where the surfaces' depths are held, so that many together hold them too; and to the side of it
+# as far as anything has ever been (choice).
+DEPTH_RADII, HELD_RADII, SIDE_RADII = 3.0, 0.3, 300.0
 # A median is taken of about so many observations (choice).
 MEDIAN_OF = 2000
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What is refined: turns (N, 3, 3), places (N, 3), points (m, 3), offsets (C,); motion (N, 2, 6), the poses' first and
-    second derivatives by time, follows from neighbouring poses and is held while a step is made."""
+    """What is refined: turns (N, 3, 3), places (N, 3), points (m, 3), z (k,) of the shared unknowns; motion (N, 2, 6), the
+    poses' first and second derivatives by time, follows from neighbouring poses and is held while a step is made."""
 
     turns: FloatArray
     places: FloatArray
     points: FloatArray
-    offsets: FloatArray
+    z: FloatArray
     motion: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
+class Fit:
+    """Where the search settled, with the weights (n,), the noise (C,) and the leverage (n,) it ended with."""
+
+    state: State
+    status: Status
+    rounds: int
+    weights: FloatArray
+    sigma: FloatArray
+    leverage: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Summary:
-    """sigma (C,) pixels, distances (n,) pixels, covariance (N, 6, 6), offsets_covariance (C, C), excess (N,)."""
+    """sigma (C,) pixels, distances (n,) pixels, covariance (N, 6, 6), shared (k, k) of z, excess (N,), and how well the
+    length of the path is known, `length_sd` and `length_share` as in `Bundled`."""
 
     sigma: FloatArray
     distances: FloatArray
     covariance: FloatArray
-    offsets_covariance: FloatArray
+    shared: FloatArray
     excess: FloatArray
+    length_sd: float
+    length_share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +83,11 @@ class Problem:
         sightings: n observations of m landmarks; counted: (n,) 1, or 0 for landmarks seen once.
         pattern: (F, F) pattern of the frames that move, lower triangle.
         prior: (N, 6, 6) of (w, d), information about the poses start_turns (N, 3, 3), start_places (N, 3).
-        radius: of the landmarks' prior.
+        radius: of the object, for the landmarks' prior.
         times: (N,) of the frames; shifts: (N, C) from there to each camera's instant; timed: whether any is not zero, or
             unknown.
-        offsets_sd: prior of the cameras' offsets, seconds; basis: (C, k) the directions in which they are free.
+        shared: what is believed of the unknowns that cameras have once for all frames; while their depths are held, so
+            closely are the landmarks.
         rotations (C, 3, 3), centers (C, 3), focals (C,): of the cameras.
     """
 
@@ -90,33 +101,39 @@ class Problem:
     times: FloatArray
     shifts: FloatArray
     timed: bool
-    offsets_sd: float
-    basis: FloatArray
+    shared: Shared
     rotations: FloatArray
     centers: FloatArray
     focals: FloatArray
 
     @property
-    def pull(self) -> float:
-        """Information, per coordinate, that a landmark is at the origin."""
-        return (PRIOR_RADII * self.radius) ** -2
+    def pull(self) -> FloatArray:
+        """(2,) information, 1/length², that a landmark is on its viewer's surface, and that it is at the origin."""
+        held = bool(self.shared.held[self.shared.depths].any())
+        return np.array([HELD_RADII if held else DEPTH_RADII, SIDE_RADII]) ** -2.0 / self.radius**2
 
     def views(self, state: State) -> Views:
         """The frames as each camera sees them at its own instant."""
         n, c = self.shifts.shape
-        carried = np.broadcast_to(self.rotations, (n, c, 3, 3))
-        place = state.places[:, None] - self.centers
+        shared = self.shared.of(state.z)
+        rotations, centers, twists = self.rotations, self.centers, np.zeros((c, 3, 3))
+        if shared.shape[1] > TURN:
+            turn = shared[:, TURN:SHIFT]
+            rotations = Rotation.from_rotvec(turn).as_matrix() @ rotations
+            centers = centers + shared[:, SHIFT : SHIFT + 3]
+            twists = np.asarray(np.linalg.inv(_log_slope(turn)), float)
+        carried = np.broadcast_to(rotations, (n, c, 3, 3))
+        place = state.places[:, None] - centers
         speed = np.zeros((n, c, 6))
         if self.timed:
-            s = (self.shifts + state.offsets)[..., None]
+            s = (self.shifts + shared[:, OFFSET])[..., None]
             first, second = state.motion[:, None, 0], state.motion[:, None, 1]
             moved, speed = s * first + 0.5 * s**2 * second, first + s * second
             turn = Rotation.from_rotvec(moved[..., :3].reshape(-1, 3)).as_matrix().reshape(n, c, 3, 3)
             carried, place = carried @ turn, place + moved[..., 3:]
-        place, spin, drift = (
-            np.einsum("cij,ncj->nci", self.rotations, v) for v in (place, speed[..., :3], speed[..., 3:])
-        )
-        return Views(state.turns, np.ascontiguousarray(carried), place, spin, drift, self.rotations, self.focals)
+        place, spin, drift = (np.einsum("cij,ncj->nci", rotations, v) for v in (place, speed[..., :3], speed[..., 3:]))
+        carried = np.ascontiguousarray(carried)
+        return Views(state.turns, carried, place, spin, drift, rotations, twists, self.focals, shared)
 
     def residuals(self, state: State) -> FloatArray:
         """(n, 2) pixels."""
@@ -127,7 +144,7 @@ class Problem:
     def where_rays_meet(self, state: State) -> FloatArray:
         """(m, 3) the points nearest to their rays and, weakly, to the object's centre, at the state's poses."""
         out = np.empty_like(state.points)
-        where_rays_meet(self.sightings, self.views(state), self.pull, out)
+        where_rays_meet(self.sightings, self.views(state), float(self.pull[0]), out)
         return out
 
     def with_strays_back(self, state: State, e: FloatArray, sigma: FloatArray) -> State:
@@ -156,8 +173,15 @@ class Problem:
             total = 0.5 * CUTOFF**2 * float(held @ q)
         change = self._change(state)
         total += 0.5 * float(np.einsum("ni,nij,nj->", change, self.prior, change))
-        total += 0.5 * self.pull * float((state.points**2).sum())
-        return total + 0.5 * float((state.offsets**2).sum()) / self.offsets_sd**2
+        seen, heights = self.sightings, self.shared.of(state.z)[:, DEPTH:TURN]
+        # Landmarks whose observations have no weight stay where they are, and say nothing.
+        trusted = self.counted * (q < 1.0) if held is None else held
+        used = np.add.reduceat(trusted, seen.start[:-1]) > 0 if len(trusted) else np.zeros(0, bool)
+        above = np.einsum("mi,mi->m", seen.toward, state.points) - np.einsum(
+            "mi,mi->m", seen.across, heights[seen.viewer]
+        )
+        total += 0.5 * float(self.pull @ [(above[used] ** 2).sum(), (state.points[used] ** 2).sum()])
+        return total + 0.5 * float(state.z @ state.z)
 
     def noise(self, e: FloatArray, leverage: FloatArray) -> FloatArray:
         """(C,) noise of each camera, pixels: from the weighted squares of the bulk, which the median tells.
@@ -185,48 +209,81 @@ class Problem:
         variance = (squares + OWN_FREEDOM * pooled) / (freedom + OWN_FREEDOM)
         return np.asarray(np.sqrt(np.maximum(variance, SIGMA_FLOOR_PX**2)))
 
-    def summary(self, state: State, weights: FloatArray, sigma: FloatArray, leverage: FloatArray) -> Summary:
-        """What a state says; with the weights (n,), noise (C,) and leverage (n,) that led to it."""
-        e = self.residuals(state)
-        sigma = self.refined_noise(e, weights, leverage)
-        views, pull = self.views(state), (PRIOR_RADII_COVARIANCE * self.radius) ** -2
-        scaled = weights / sigma[self.sightings.camera] ** 2
-        system = self.system(state, views, scaled, pull)
-        factor = system.factor(0.0)
-        covariance, offsets = system.covariance(factor)
-        moving = self.sightings.free >= 0
+    def summary(self, fit: Fit, tied: BoolArray) -> Summary:
+        """What the search's end says, `tied` (N,) being the frames that anything is known of."""
+        state, e = fit.state, self.residuals(fit.state)
+        sigma = self.refined_noise(e, fit.weights, fit.leverage)
+        views, moving = self.views(state), self.sightings.free >= 0
+        scaled = fit.weights / sigma[self.sightings.camera] ** 2
+        system = self.system(state, views, scaled)
+        solver = system.solver()
+        own, rows = solver.frames.inverse_blocks(), solver.gain.reshape(int(moving.sum()), 6, -1)
         excess = np.ones(len(moving))
         excess[moving] = excess_variance(
-            self.sightings, views, state.points, scaled, pull, system, factor, covariance[moving]
+            self.sightings,
+            views,
+            state.points,
+            scaled,
+            self.pull,
+            system,
+            solver,
+            own + rows @ solver.shared_covariance(considered=False) @ rows.transpose(0, 2, 1),
         )
+        usual = float(np.median(excess[moving]))
         # Of what the observations tell, not of what is believed.
-        told = np.linalg.inv(covariance[moving]) - self.prior[moving]
-        covariance[moving] = np.linalg.inv(told / excess[moving, None, None] + self.prior[moving])
-        offsets = self._offsets_covariance(offsets, float(np.median(excess[moving])))
-        return Summary(sigma, np.linalg.norm(e, axis=1), covariance, offsets, excess)
+        told = np.linalg.inv(own) - self.prior[moving]
+        own = np.asarray(np.linalg.inv(told / excess[moving, None, None] + self.prior[moving]), float)
+        covariance = np.zeros((len(moving), 6, 6))
+        covariance[moving] = own + rows @ solver.shared_covariance(usual) @ rows.transpose(0, 2, 1)
+        covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+        shared = self._shared_covariance(solver, usual)
+        length = self._length(state, solver, usual, covariance, tied)
+        return Summary(sigma, np.linalg.norm(e, axis=1), covariance, shared, excess, *length)
 
-    def _offsets_covariance(self, covariance: FloatArray, excess: float) -> FloatArray:
-        """(C, C) without the information that is only noise, the rest with its excess of variance.
+    def with_depths_held(self) -> Problem:
+        """The same with surfaces that stay where they are believed to be."""
+        return replace(self, shared=replace(self.shared, held=self.shared.held | self.shared.depths))
+
+    def _length(
+        self, state: State, solver: Solver, excess: float, covariance: FloatArray, tied: BoolArray
+    ) -> tuple[float, float]:
+        """Relative standard deviation of the path's length, and the share it has in the displacements' variance."""
+        moving = self.sightings.free >= 0
+        path = np.where(tied[:, None], state.places - state.places[np.flatnonzero(~moving)[0]], 0.0)[moving]
+        square = float((path**2).sum())
+        if not square > 0.0:
+            return np.inf, 0.0
+        variance = solver.variance(np.hstack([np.zeros_like(path), path]), excess) / square
+        total = float(np.trace(covariance[tied & moving][:, 3:, 3:], axis1=1, axis2=2).sum())
+        return float(np.sqrt(variance / square)), float(min(variance / total, 1.0))
+
+    def _shared_covariance(self, solver: Solver, excess: float) -> FloatArray:
+        """(k, k) of z; of the time offsets without the information that is only noise.
 
         Speeds are differences of estimated poses, and their noise looks like a motion that is not uniform. A frame's six
         unknowns are its cameras' information's inverse: so, whatever the noise, each of C cameras seems to learn
         6 / C (1 - 1 / C) times the variance of a difference of two poses, per frame.
         """
-        if not self.basis.shape[1]:
-            return covariance
-        gap, share = np.gradient(self.times), 1.0 / (self.basis.shape[1] + 1)
-        noise = 0.5 / gap**2
-        noise[[0, -1]] *= 13.0  # at the ends, of three poses from one side
-        prior = np.eye(self.basis.shape[1]) / self.offsets_sd**2
-        seeming = prior + 6.0 * share * (1.0 - share) * noise.sum() * np.eye(len(prior))
-        values, vectors = np.linalg.eigh(np.linalg.inv(self.basis.T @ covariance @ self.basis) - seeming)
-        small = np.linalg.inv(vectors @ np.diag(np.maximum(values / excess, 0.0)) @ vectors.T + prior)
-        return np.asarray(self.basis @ small @ self.basis.T)
+        n = self.shared.n_offsets
+        out = solver.shared_covariance(excess)
+        if n:
+            gap, share = np.gradient(self.times), 1.0 / (n + 1)
+            noise = 0.5 / gap**2
+            noise[[0, -1]] *= 13.0  # at the ends, of three poses from one side
+            variance = float((self.shared.spread[:, OFFSET, :n] ** 2).sum()) / n
+            seeming = 1.0 + 6.0 * share * (1.0 - share) * float(noise.sum()) * variance
+            told = np.linalg.inv(solver.shared_covariance()[:n, :n]) - seeming * np.eye(n)
+            values, vectors = np.linalg.eigh(told)
+            small = vectors @ np.diag(1.0 / (np.maximum(values / excess, 0.0) + 1.0)) @ vectors.T
+            # The rest is taken to know as much of them as before.
+            out[:n, n:] = out[n:, :n] = 0.0
+            out[:n, :n] = small
+        return out
 
-    def system(self, state: State, views: Views, weights: FloatArray, pull: float | None = None) -> System:
+    def system(self, state: State, views: Views, weights: FloatArray, pull: FloatArray | None = None) -> System:
         """The reduced system at a state, weights in 1/pixels²."""
-        f, t = self.pattern.shape[0], self.basis.shape[0] if self.basis.shape[1] else 0
-        shapes = ((self.pattern.nnz, 6, 6), (f, 6), (f, 6, t), (t, t), (t,), (len(self.sightings.frame),))
+        f, (c, s) = self.pattern.shape[0], views.shared.shape
+        shapes = ((self.pattern.nnz, 6, 6), (f, 6), (f, 6, c, s), (c, s, c, s), (c, s), (len(self.sightings.frame),))
         indptr, columns = (a.astype(np.int64) for a in (self.pattern.indptr, self.pattern.indices))
         out = Reduced(indptr, columns, *(np.zeros(shape) for shape in shapes))
         reduce(self.sightings, views, state.points, weights, self.pull if pull is None else pull, out)
@@ -237,17 +294,14 @@ class Problem:
         pulled = slope.transpose(0, 2, 1) @ self.prior[moving]
         out.blocks[indptr[1:] - 1] += pulled @ slope
         out.gradient[:] += np.einsum("nij,nj->ni", pulled, change)
-        if t:
-            out.corner[:] += np.eye(t) / self.offsets_sd**2
-            out.slope[:] += state.offsets / self.offsets_sd**2
-        return System(out, self.sightings.free, self.basis)
+        return System(out, self.sightings.free, self.shared, state.z)
 
-    def moved(self, state: State, views: Views, weights: FloatArray, step: FloatArray, offsets: FloatArray) -> State:
-        """The state after a step of the frames and offsets, and the landmarks' that belongs to it."""
+    def moved(self, state: State, views: Views, weights: FloatArray, step: FloatArray, z: FloatArray) -> State:
+        """The state after a step of the frames and of z, and the landmarks' that belongs to it."""
         points = np.empty_like(state.points)
-        substitute(self.sightings, views, state.points, weights, self.pull, step, offsets, points)
+        substitute(self.sightings, views, state.points, weights, self.pull, step, self.shared.spread @ z, points)
         turns = Rotation.from_rotvec(step[:, :3]).as_matrix() @ state.turns
-        return State(turns, state.places + step[:, 3:], points, state.offsets + offsets, state.motion)
+        return State(turns, state.places + step[:, 3:], points, state.z + z, state.motion)
 
     def with_motion(self, state: State) -> State:
         """The state with the derivatives by time of its own poses."""

@@ -17,21 +17,23 @@ def scores(
     views: Views,
     points: FloatArray,
     weights: FloatArray,
-    prior: float,
+    pull: FloatArray,
     group: IntArray,
     by_pose_sum: FloatArray,
-    by_offset_sum: FloatArray,
+    by_shared_sum: FloatArray,
     shares: FloatArray,
 ) -> None:
     """What each of G groups of observations, `group` (n,), adds to the reduced system; the three sums are zero at the start.
 
-    by_pose_sum (F, G, 6) and by_offset_sum (G, C) become its gradient, shares (F, G, 6, 6) its information about each frame.
+    by_pose_sum (F, G, 6) and by_shared_sum (G, C, K) become its gradient, shares (F, G, 6, 6) its information about each
+    frame.
     """
-    longest = longest_track(seen.start)
-    e, by_pose, by_point = np.empty((longest, 2)), np.empty((longest, 2, 7)), np.empty((longest, 2, 3))
+    longest, n_shared = longest_track(seen.start), views.shared.shape[1]
+    e, by_pose, by_point = np.empty((longest, 2)), np.empty((longest, 2, 6)), np.empty((longest, 2, 3))
+    by_shared = np.zeros((longest, 2, n_shared))
     root, slope, rows, shared = np.zeros((3, 3)), np.empty(3), np.empty((3, 2)), np.empty((3, 6))
     for i in range(points.shape[0]):
-        if not eliminated(seen, views, points[i], i, weights, prior, e, by_pose, by_point, root, slope):
+        if not eliminated(seen, views, points[i], i, weights, pull, e, by_pose, by_shared, by_point, root, slope):
             continue
         for n in range(seen.start[i], seen.start[i + 1]):
             w = weights[n]
@@ -45,7 +47,8 @@ def scores(
                 rows[1, a] = root[1, 0] * x + root[1, 1] * y
                 rows[2, a] = root[2, 0] * x + root[2, 1] * y + root[2, 2] * z
                 r = w * (e[o, a] - rows[0, a] * slope[0] - rows[1, a] * slope[1] - rows[2, a] * slope[2])
-                by_offset_sum[g, c] += by_pose[o, a, 6] * r
+                for p in range(n_shared):
+                    by_shared_sum[g, c, p] += by_shared[o, a, p] * r
                 if k < 0:
                     continue
                 for p in range(6):

@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 from sylpose.numerics.arrays import FloatArray
 from sylpose.smoothing.kernels import Sightings, Views
 from sylpose.smoothing.scores import scores
-from sylpose.smoothing.system import Factor, System
+from sylpose.smoothing.system import Solver, System
 
 __all__ = ["excess_variance"]
 
@@ -34,9 +34,9 @@ def excess_variance(
     views: Views,
     points: FloatArray,
     weights: FloatArray,
-    prior: float,
+    pull: FloatArray,
     system: System,
-    factor: Factor,
+    solver: Solver,
     covariance: FloatArray,
 ) -> FloatArray:
     """(F,) by what each frame's variance is larger than the system of equations says, at least 1.
@@ -47,38 +47,38 @@ def excess_variance(
     neighbours; cameras disagree where the calibration is off as well. There are few cameras, so neither is a precise
     figure: their excesses are added, which is on the safe side.
 
-    Args: seen to prior as of the system at the optimum; factor: of the system, undamped; covariance: (F, 6, 6) its frames'.
+    Args: seen to pull as of the system at the optimum; solver: of the system, undamped; covariance: (F, 6, 6) its frames'.
     """
     moving = system.free[seen.frame] >= 0
     if not (moving & (weights > 0)).any():
         return np.ones(len(covariance))
     landmark = np.repeat(np.arange(len(points)), np.diff(seen.start))
     octant = (points > np.median(points, axis=0)) @ np.array([1, 2, 4])
-    frames, cameras = len(covariance), len(system.basis)
+    frames = len(covariance)
     excess = np.zeros(frames)
     for group in (8 * seen.camera + octant[landmark], seen.camera):
         names, group = np.unique(group, return_inverse=True)
-        by_pose, by_offset = np.zeros((frames, len(names), 6)), np.zeros((len(names), cameras))
+        by_pose, by_shared = np.zeros((frames, len(names), 6)), np.zeros((len(names), *views.shared.shape))
         shares = np.zeros((frames, len(names), 6, 6))
-        scores(seen, views, points, weights, prior, group, by_pose, by_offset, shares)
-        ratio = _ratio(by_pose, by_offset, shares, system, factor, covariance)
+        scores(seen, views, points, weights, pull, group, by_pose, by_shared, shares)
+        ratio = _ratio(by_pose, by_shared, shares, system, solver, covariance)
         excess += np.maximum(median_filter(ratio, AMONG, mode="nearest") - 1.0, 0.0)
     return 1.0 + excess
 
 
 def _ratio(
     by_pose: FloatArray,
-    by_offset: FloatArray,
+    by_shared: FloatArray,
     shares: FloatArray,
     system: System,
-    factor: Factor,
+    solver: Solver,
     covariance: FloatArray,
 ) -> FloatArray:
     """(F,) scatter of the groups' parts, relative to that of independent noise; the first three as `scores` gives them."""
     frames, groups, _ = by_pose.shape
     right = np.ascontiguousarray(by_pose.transpose(0, 2, 1)).reshape(6 * frames, groups)
-    slope = by_offset.T if system.basis.shape[1] else np.zeros((0, groups))
-    parts = system.answer(right, slope, factor)[0].reshape(frames, 6, groups)
+    slope = system.shared.flat.T @ by_shared.reshape(groups, -1).T
+    parts = solver.answer(right, slope)[0].reshape(frames, 6, groups)
     found = np.einsum("kig,kig->k", parts, np.linalg.solve(covariance, parts))
     own = np.linalg.solve(system.frame_blocks()[:, None], shares)
     expected = 6.0 - np.einsum("kgij,kgji->k", own, own)

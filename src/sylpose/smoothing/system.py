@@ -1,4 +1,4 @@
-"""The reduced system of the joint refinement: six unknowns per frame, and a border of time offsets."""
+"""The reduced system of the joint refinement: six unknowns per frame, and a border of what cameras have once for all."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from scipy import linalg
 from scipy.sparse import bsr_array, diags_array, tril
 from scipy.sparse.linalg import SuperLU, splu
 
-from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.compiled import kernel
-from sylpose.smoothing.kernels import Reduced, place_of
+from sylpose.smoothing.elimination import Reduced, place_of
+from sylpose.smoothing.shared import Shared
 
-__all__ = ["Factor", "System", "diagonal_of_inverse"]
+__all__ = ["Factor", "Solver", "System", "diagonal_of_inverse"]
 
 
 # Systems of at most so many frames, or so full, are solved as dense ones (choice).
@@ -57,19 +58,97 @@ class Factor:
 
 
 @dataclass(frozen=True, eq=False)
+class Solver:
+    """A factored system.
+
+    Attributes:
+        frames: the frames' part, F of them.
+        border, gain: (6 F, k) how frames depend on the shared unknowns z, and that solved for.
+        told: (k, k) what is told of z, the frames being free; its prior, the identity, not counted.
+        held: (k,) those of z that stay.
+    """
+
+    frames: Factor
+    border: FloatArray
+    gain: FloatArray
+    told: FloatArray
+    held: BoolArray
+
+    def answer(self, gradient: FloatArray, slope: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Frames (6 F, g) and shared unknowns (k, g) that the system gives for g right sides."""
+        x, free = self.frames.solve(gradient), ~self.held
+        z = np.zeros((len(free), gradient.shape[1]))
+        told = self.told[np.ix_(free, free)]
+        z[free] = np.linalg.solve(told + np.eye(len(told)), slope[free] - self.border[:, free].T @ x)
+        return x - self.gain @ z, z
+
+    def shared_covariance(self, excess: float = 1.0, *, considered: bool = True) -> FloatArray:
+        """(k, k) of the error of z, when all that is told has so many times the variance.
+
+        What is held is as uncertain as it was, and the others err with it (Schmidt's consider covariance: S. F. Schmidt,
+        "Application of state-space methods to navigation problems", 1966); unless only noise is asked for.
+        """
+        free, out = ~self.held, np.zeros_like(self.told)
+        told = self.told[np.ix_(free, free)] / excess
+        mine = np.linalg.inv(told + np.eye(len(told)))
+        out[np.ix_(free, free)] = mine
+        if considered and self.held.any():
+            drawn = np.eye(len(free))[:, self.held]
+            drawn[free] = -mine @ self.told[np.ix_(free, self.held)] / excess
+            out += drawn @ drawn.T
+        return out
+
+    def variance(self, pattern: FloatArray, excess: float = 1.0) -> float:
+        """Of the sum of the frames' unknowns (F, 6), each times what the pattern (F, 6) has there."""
+        v = pattern.reshape(-1, 1)
+        part = (self.gain.T @ v)[:, 0]
+        return excess * float(v[:, 0] @ self.frames.solve(v)[:, 0]) + float(
+            part @ self.shared_covariance(excess) @ part
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class System:
-    """A reduced system with what is believed of poses and offsets added, and how to solve it."""
+    """A reduced system, what is believed of the frames added, and how to solve it.
+
+    Attributes:
+        reduced: as `reduce` gives it, in the shared unknowns themselves.
+        free: (N,) number of each frame among those that move, or -1.
+        shared: of which z are the unknowns here; z: (k,) their values.
+    """
 
     reduced: Reduced
     free: IntArray
-    basis: FloatArray
+    shared: Shared
+    z: FloatArray
 
     def frame_blocks(self) -> FloatArray:
         """(F, 6, 6) each frame's information about itself, the other frames given."""
         return self.reduced.blocks[self.reduced.indptr[1:] - 1]
 
-    def factor(self, damping: float) -> Factor:
-        """The frames' part, its diagonal enlarged by a share."""
+    def solver(self, damping: float = 0.0) -> Solver:
+        """The system factored, the diagonal of the frames' part enlarged by a share."""
+        frames, spread = self._factor(damping), self.shared.flat
+        n = len(spread)
+        border = self.reduced.border.reshape(-1, n) @ spread
+        gain = frames.solve(border)
+        told = spread.T @ self.reduced.corner.reshape(n, n) @ spread - border.T @ gain
+        return Solver(frames, border, gain, told, self.shared.held)
+
+    def slope(self) -> FloatArray:
+        """(k,) the gradient by z, its prior included."""
+        return np.asarray(self.shared.flat.T @ self.reduced.slope.ravel() + self.z)
+
+    def solve(self, damping: float) -> tuple[FloatArray, FloatArray, float]:
+        """Step of the frames (N, 6), of z (k,), and the square of its length in standard deviations."""
+        gradient, slope = self.reduced.gradient.reshape(-1, 1), self.slope()[:, None]
+        step, z = self.solver(damping).answer(gradient, slope)
+        size = float(gradient[:, 0] @ step[:, 0]) + float(slope[:, 0] @ z[:, 0])  # z is zero where it is held
+        out = np.zeros((len(self.free), 6))
+        out[self.free >= 0] = -step.reshape(-1, 6)
+        return out, -z[:, 0], size
+
+    def _factor(self, damping: float) -> Factor:
         r, n = self.reduced, 6 * len(self.reduced.gradient)
         blocks, k = r.blocks.copy(), np.arange(6)
         blocks[r.indptr[1:, None] - 1, k, k] *= 1.0 + max(damping, RIDGE)
@@ -80,49 +159,6 @@ class System:
         options = {"SymmetricMode": True}
         matrix = (half + half.T + diags_array(lower.diagonal())).tocsc()
         return Factor(None, splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options))
-
-    def solve(self, damping: float) -> tuple[FloatArray, FloatArray, float]:
-        """Step of the frames (N, 6), of the offsets (C,), and the square of its length in standard deviations."""
-        r = self.reduced
-        step, offsets = self.answer(r.gradient.reshape(-1, 1), r.slope[:, None], self.factor(damping))
-        size = float(r.gradient.ravel() @ step[:, 0]) + float(r.slope @ offsets[:, 0])
-        out = np.zeros((len(self.free), 6))
-        out[self.free >= 0] = -step.reshape(-1, 6)
-        return out, -self._all(offsets)[:, 0], size
-
-    def answer(self, gradient: FloatArray, slope: FloatArray, factor: Factor) -> tuple[FloatArray, FloatArray]:
-        """Frames (6 F, g) and offsets (T, g) that the system, factored, gives for g right sides."""
-        x = factor.solve(gradient)
-        if not self.basis.shape[1]:
-            return x, np.zeros_like(slope)
-        border, gain, schur = self._bordered(factor)
-        z = np.linalg.solve(schur, self.basis.T @ slope - border.T @ x)
-        return x - gain @ z, self.basis @ z
-
-    def _all(self, offsets: FloatArray) -> FloatArray:
-        """(C, g) offsets of all cameras: zero without any asked for."""
-        return offsets if len(offsets) else np.zeros((len(self.basis), offsets.shape[1]))
-
-    def covariance(self, factor: Factor | None = None) -> tuple[FloatArray, FloatArray]:
-        """Of the frames (N, 6, 6), and of the offsets (C, C)."""
-        factor = self.factor(0.0) if factor is None else factor
-        blocks = factor.inverse_blocks()
-        offsets = np.zeros((len(self.basis),) * 2)
-        if self.basis.shape[1]:
-            _, gain, schur = self._bordered(factor)
-            small = np.linalg.inv(schur)
-            offsets = self.basis @ small @ self.basis.T
-            rows = gain.reshape(len(blocks), 6, -1)
-            blocks = blocks + rows @ small @ rows.transpose(0, 2, 1)
-        out = np.zeros((len(self.free), 6, 6))
-        out[self.free >= 0] = 0.5 * (blocks + blocks.transpose(0, 2, 1))
-        return out, offsets
-
-    def _bordered(self, factor: Factor) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Border, border solved for, and what is left for the offsets."""
-        border = self.reduced.border.reshape(-1, len(self.basis)) @ self.basis
-        gain = factor.solve(border)
-        return border, gain, self.basis.T @ self.reduced.corner @ self.basis - border.T @ gain
 
 
 @kernel

@@ -65,6 +65,10 @@ class Smoothed:
             zeros when not asked for.
         sigma_px: (C,) noise of each camera, pixels.
         rounds: of the solver.
+        length_sd: relative standard deviation of the path's length, all displacements of the object's origin being too
+            long or too short by one factor: what a motion without turns leaves open. inf when nothing was displaced, or
+            nothing refined.
+        length_share: in [0, 1], the share of it in the variance of all displacements.
     """
 
     poses: tuple[FramePose, ...]
@@ -73,6 +77,8 @@ class Smoothed:
     offsets_sd: FloatArray
     sigma_px: FloatArray
     rounds: int
+    length_sd: float = np.inf
+    length_share: float = 0.0
 
 
 def smooth(
@@ -121,7 +127,16 @@ def smooth(
                     residuals=residuals[i],
                 )
         poses = _with_gaps_filled(poses, [frame.pose for frame in frames], refined)
-    return Smoothed(tuple(poses), bundled.status, bundled.offsets, bundled.offsets_sd, bundled.sigma_px, bundled.rounds)
+    return Smoothed(
+        tuple(poses),
+        bundled.status,
+        bundled.offsets,
+        bundled.offsets_sd,
+        bundled.sigma_px,
+        bundled.rounds,
+        bundled.length_sd,
+        bundled.length_share,
+    )
 
 
 def _stacked(poses: Sequence[FramePose]) -> RigidTransform:
