@@ -103,6 +103,7 @@ class Observable(Enum):
 
     ALL = "all"
     NO_SCALE = "scale not observable"
+    NO_LENGTH = "length not observable"
 
     @property
     def text(self) -> str:
@@ -112,6 +113,8 @@ class Observable(Enum):
 
 _OBSERVABLE_TEXTS = {
     Observable.ALL: "The whole pose can be seen.",
+    Observable.NO_LENGTH: "The object has not turned: how far it moved follows from what is believed of its place and shape "
+    "alone, until a turn tells it.",
     Observable.NO_SCALE: "With one camera, lengths are in units of the object's first distance.",
 }
 

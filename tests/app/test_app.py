@@ -79,8 +79,7 @@ def test_the_result_is_the_smoothed_one_if_not_said_otherwise(session: Path, tmp
             main(["track", str(session), "--no-overlay", "--stop", "5", "--out", str(tmp_path / name), *options]) == 0
         )
     run = track_session(open_session(session), tmp_path / "run", stop=5, overlay=False, on_smoothing=rounds.append)
-    assert rounds == list(range(1, len(rounds) + 1))
-    assert rounds
+    assert rounds[:2] == [1, 2]
     files = {name: (tmp_path / name).iterdir() for name in ("as tracked", "smoothed", "paper", "run")}
     names = {name: {file.name for file in found} for name, found in files.items()}
     assert names["smoothed"] == names["run"] == names["as tracked"] | {"tracked.csv", "tracked.tum"}

@@ -15,9 +15,10 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation, RotationSpline
 
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
-from sylpose.results import FramePose, Status
+from sylpose.results import FramePose, Observable, Status
 from sylpose.rig import Rig
-from sylpose.smoothing.bundle import Bundled, Observations, bundle
+from sylpose.smoothing.bundle import Bundled, Observations
+from sylpose.smoothing.sized import bundle_sized, length_is_open
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
 
 __all__ = ["Smoothed", "Track", "smooth"]
@@ -103,7 +104,7 @@ def smooth(
         return Smoothed(tuple(poses), Status.TOO_FEW_MATCHES, nothing, nothing, np.full(len(rig), np.nan), 0)
     seen, places = _observations([frames[k] for k in used])
     late = np.array([frames[k].late for k in used])
-    bundled = bundle(
+    bundled = bundle_sized(
         rig,
         seen,
         _stacked([frames[k].pose for k in used]),
@@ -114,6 +115,7 @@ def smooth(
         on_round=on_round,
     )
     if bundled.status is not Status.TOO_FEW_MATCHES:
+        open_length = length_is_open(bundled)
         counts, residuals = _per_camera(bundled, seen, len(used), len(rig))
         refined = np.zeros(len(frames), bool)
         refined[[k for i, k in enumerate(used) if bundled.tied[i]]] = True
@@ -123,6 +125,7 @@ def smooth(
                     poses[k],
                     world_from_object=bundled.world_from_object[i],
                     covariance=bundled.covariance[i],
+                    observable=_observable(poses[k].observable, open_length),
                     inliers=counts[i],
                     residuals=residuals[i],
                 )
@@ -137,6 +140,12 @@ def smooth(
         bundled.length_sd,
         bundled.length_share,
     )
+
+
+def _observable(before: Observable, open_length: bool) -> Observable:
+    if before is Observable.NO_SCALE:
+        return before
+    return Observable.NO_LENGTH if open_length else Observable.ALL
 
 
 def _stacked(poses: Sequence[FramePose]) -> RigidTransform:

@@ -77,6 +77,7 @@ class Team:
         follows: whether features are followed from image to image.
         offsets: (C,) seconds by which each camera's images are later than its time stamps say.
         seed: of the outlier rejection.
+        refines: whether frames are refined together while tracking goes on (`window`).
     """
 
     rig: Rig
@@ -86,6 +87,7 @@ class Team:
     follows: bool
     offsets: FloatArray
     seed: int
+    refines: bool = False
 
     def rng(self) -> np.random.Generator:
         """The same outlier rejection for the same frame, whatever came before."""

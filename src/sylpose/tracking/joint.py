@@ -48,6 +48,8 @@ class Joint:
         missed: frames since the last solved one.
         seen_again: frames in which it was seen, but not well enough, after it was missed.
         lost: whether nothing is known any more of where it is.
+        length_sd: the relative standard deviation that all lengths of its path have in common, as long as no turn has told
+            them; 0 once one has.
         proven: whether it was ever seen to move against what stands still.
         only_still: whether in the frame at hand only what never moved agreed with a pose.
     """
@@ -61,6 +63,7 @@ class Joint:
     missed: int = 0
     seen_again: int = 0
     lost: bool = False
+    length_sd: float = 0.0
     proven: bool = False
     only_still: bool = False
 
@@ -131,6 +134,14 @@ class Joint:
         certain = sd[:3].max() < COASTING_TURN and sd[3:].max() < COASTING_SHIFT * self.object.radius
         lost = self.lost or missed > MAX_COASTING or not certain
         return replace(self, missed=missed, lost=lost, only_still=False), covariance
+
+    def with_length(self, solved: SolvedFrame) -> SolvedFrame:
+        """A solved frame whose covariance knows that the length of its path is not told."""
+        path = solved.world_from_object.translation - self.keyframes[0].world_from_object.translation
+        far = float(np.linalg.norm(path))
+        along = np.concatenate([np.zeros(3), path / max(far, 1e-300)])
+        lacks = (self.length_sd * far) ** 2 - float(along @ solved.covariance @ along)
+        return replace(solved, covariance=solved.covariance + max(lacks, 0.0) * np.outer(along, along))
 
     def moved(self, frames: Mapping[int, SolvedFrame]) -> Joint:
         """With the poses of some frames, by number, refined."""

@@ -22,6 +22,7 @@ from sylpose.tracking.records import total_ages
 from sylpose.tracking.sights import usual_age
 from sylpose.tracking.start import first_motion
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame, shown, sightings, unsolved_frame
+from sylpose.tracking.window import is_due, refined
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.motion import motion_about
 from sylpose.two_frames.verdict import observed
@@ -145,20 +146,24 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         return shown(seen[c].inliers, current, base.number, before), sightings(seen[c].inliers, current)
 
     learnt = crew.each(learn, long=found.anew)
+    if team.refines and is_due(after):
+        after = refined(team, after)
+    last = after.with_length(after.base)
+    observable = Observable.NO_LENGTH if after.length_sd else Observable.ALL
     result = FramePose(
         frames.index,
         frames.time,
         status,
-        pose,
-        covariance,
+        last.world_from_object,
+        last.covariance,
         np.array([a.features for a in found.agreed], np.int64),
         np.array([a.residual_px for a in found.agreed]),
-        Observable.NO_SCALE if len(team.rig) == 1 else Observable.ALL,
+        Observable.NO_SCALE if len(team.rig) == 1 else observable,
         doubt,
         solution.faults,
     )
     matches, seen_now = crew.each(lambda c: learnt[c][0]), crew.each(lambda c: learnt[c][1])
-    return after, TrackedFrame(
+    return replace(after, last=last), TrackedFrame(
         result, frames, tuple(matches), tuple(found.regions), model.radius, tuple(seen_now), frame.late
     )
 

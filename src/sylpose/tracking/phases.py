@@ -41,7 +41,6 @@ from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.start import FirstMotion, first_motion, is_ambiguous, jitter_of
 from sylpose.tracking.tracked_frame import TrackedFrame, unsolved_frame
 from sylpose.tracking.velocity import Velocity
-from sylpose.tracking.window import is_due, refined
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.motion import motion_about
 
@@ -76,14 +75,6 @@ def next_frame(
     if joint.last is None:
         return start(team, joint, waiting, number, frames)
     joint, tracked = (recover if joint.missed else steady)(team, joint, number, frames)
-    if tracked.pose.measured and is_due(joint):
-        joint = refined(team, joint)
-        tracked = replace(
-            tracked,
-            pose=replace(
-                tracked.pose, world_from_object=joint.base.world_from_object, covariance=joint.base.covariance
-            ),
-        )
     return joint, [], [tracked]
 
 

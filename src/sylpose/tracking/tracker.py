@@ -92,7 +92,7 @@ class Tracker:
         parts = [CameraPart(c, camera) for c, camera in enumerate(rig)]
         late = np.array([(offsets or {}).get(name, 0.0) for name in rig.names])
         self._crew = crew
-        self._team = Team(rig, parts, crew, SOLVERS[method], follows, late, seed)
+        self._team = Team(rig, parts, crew, SOLVERS[method], follows, late, seed, method == METHODS[0])
         self._joint = Joint(ObjectModel.in_boxes(rig, boxes) if boxes else ObjectModel())
         self._waiting: Sequence[Waiting] = []
         self._number = 0  # of the next frame

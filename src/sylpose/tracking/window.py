@@ -15,8 +15,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.robust import chi_squared_bound
 from sylpose.results import Status
-from sylpose.smoothing.bundle import Bundled, Observations, bundle
+from sylpose.smoothing.bundle import Bundled, Observations
+from sylpose.smoothing.sized import bundle_sized, length_is_open
 from sylpose.tracking.find import Team
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.joint import Joint
@@ -30,10 +32,14 @@ MOST = 32
 LANDMARKS = 150
 # Besides every keyframe and the first frames, one frame of so many (choice).
 OFTEN = 4
-# Of fewer frames than this the depths are not known well enough to be refined with the poses (choice).
-LEAST = 6
+# Of fewer frames nothing is told. Of fewer than this the depths are not known well enough to be refined with the
+# poses (choice).
+FEWEST, LEAST = 2, 9
+# By more than this the refined pose and the one found before do not differ by chance (chi-squared of six: once in a
+# thousand times).
+SURPRISING = chi_squared_bound(6)
 # Rounds of the solver: it starts near the answer (choice).
-ROUNDS = 6
+ROUNDS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,22 +60,28 @@ class Seen:
 
 
 def is_due(joint: Joint) -> bool:
-    """Whether the frame just solved is to be refined with the others: each of the first ones, keyframes, and of the others
-    every `OFTEN`th."""
-    if len(joint.keyframes) + len(joint.recent) < LEAST:
-        return False
-    return joint.base.number % OFTEN == 0 or joint.keyframes[-1] is joint.base
+    """Whether the frame just solved is to be refined with the others: the first ones are, keyframes, and of
+    the others every `OFTEN`th."""
+    young = len(joint.keyframes) + len(joint.recent) <= LEAST
+    return young or joint.base.number % OFTEN == 0 or joint.keyframes[-1] is joint.base
 
 
 def refined(team: Team, joint: Joint) -> Joint:
-    """With the poses of the keyframes and of the last frame refined together; each camera places its landmarks anew."""
+    """With the poses of the keyframes and of the last frames refined together; each camera places its landmarks anew. As
+    long as there are few frames, and where the refinement goes astray, only how well the path's length is known is taken
+    from it."""
     frames = _chosen(joint)
+    if len(frames) < FEWEST:
+        return joint
     numbers = [frame.number for frame in frames]
     told = team.crew.ask(lambda c: _seen(team, c, numbers))
     found = _bundled(team, joint, frames, told)
     if found is None:
         return joint
     bundled, names = found
+    joint = replace(joint, length_sd=bundled.length_sd if length_is_open(bundled) else 0.0)
+    if len(frames) < LEAST or bundled.status is not Status.OK or not _agrees(frames[-1], bundled):
+        return joint
     poses = dict(zip(numbers, bundled.world_from_object, strict=True))
     moved = {
         frame.number: replace(
@@ -84,11 +96,19 @@ def refined(team: Team, joint: Joint) -> Joint:
 
     def learn(c: int) -> None:
         mine = names == c
-        if told[c] is not None and mine.any():
+        if mine.any():
             team.parts[c].table.place(told[c].known, bundled.landmarks[mine])
 
     team.crew.each(learn)
     return joint.moved(moved)
+
+
+def _agrees(last: SolvedFrame, bundled: Bundled) -> bool:
+    """Whether the last frame's pose is refined by no more than both say that it may be off."""
+    before, after = last.world_from_object, bundled.world_from_object[-1]
+    turn = (after.rotation * before.rotation.inv()).as_rotvec()
+    off = np.concatenate([turn, after.translation - before.translation])
+    return bool(off @ np.linalg.solve(last.covariance + bundled.covariance[-1], off) < SURPRISING)
 
 
 def _chosen(joint: Joint) -> list[SolvedFrame]:
@@ -144,7 +164,7 @@ def _bundled(
         Rotation.from_quat(np.array([f.world_from_object.rotation.as_quat() for f in frames])),
     )
     times = np.array([frame.time + frame.late for frame in frames])
-    bundled = bundle(
+    bundled = bundle_sized(
         team.rig,
         observations,
         poses,
