@@ -106,7 +106,7 @@ def tracked_by_nodes(clip: Clip, frames: Sequence[FrameSet], method: str, with_b
     def node(c: int) -> list[TrackedFrame]:
         parts = [CameraPart(k, camera) if k == c else cast(CameraPart, None) for k, camera in enumerate(clip.rig)]
         follows = features_of(method, "auto") == "klt"
-        team = Team(clip.rig, parts, Node(c, n, wire), SOLVERS[method], follows, np.zeros(n), 0)
+        team = Team(clip.rig, parts, Node(c, n, wire), SOLVERS[method], follows, np.zeros(n), 0, method == "landmarks")
         joint = Joint(ObjectModel.in_boxes(clip.rig, clip.boxes) if with_boxes else ObjectModel())
         waiting: Sequence[Waiting] = []
         found = []

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.numerics.robust import chi_squared_bound
 from sylpose.results import Status
 from sylpose.smoothing.bundle import Bundled, Observations
 from sylpose.smoothing.sized import bundle_sized, length_is_open
@@ -35,9 +34,8 @@ OFTEN = 4
 # Of fewer frames nothing is told. Of fewer than this the depths are not known well enough to be refined with the
 # poses (choice).
 FEWEST, LEAST = 2, 9
-# By more than this the refined pose and the one found before do not differ by chance (chi-squared of six: once in a
-# thousand times).
-SURPRISING = chi_squared_bound(6)
+# A pose is refined by less than this turn (radians) and share of the object's radius (choice).
+MAX_TURN, MAX_SHIFT = 0.1, 0.3
 # Rounds of the solver: it starts near the answer (choice).
 ROUNDS = 12
 
@@ -62,14 +60,14 @@ class Seen:
 def is_due(joint: Joint) -> bool:
     """Whether the frame just solved is to be refined with the others: the first ones are, keyframes, and of
     the others every `OFTEN`th."""
-    young = len(joint.keyframes) + len(joint.recent) <= LEAST
-    return young or joint.base.number % OFTEN == 0 or joint.keyframes[-1] is joint.base
+    since = joint.base.number - joint.keyframes[0].number
+    return since <= LEAST or since % OFTEN == 0 or joint.keyframes[-1] is joint.base
 
 
 def refined(team: Team, joint: Joint) -> Joint:
     """With the poses of the keyframes and of the last frames refined together; each camera places its landmarks anew. As
-    long as there are few frames, and where the refinement goes astray, only how well the path's length is known is taken
-    from it."""
+    long as there are few frames, and where the refinement goes astray, it only tells how well the path's length and the
+    last frame's pose are known."""
     frames = _chosen(joint)
     if len(frames) < FEWEST:
         return joint
@@ -80,8 +78,14 @@ def refined(team: Team, joint: Joint) -> Joint:
         return joint
     bundled, names = found
     joint = replace(joint, length_sd=bundled.length_sd if length_is_open(bundled) else 0.0)
-    if len(frames) < LEAST or bundled.status is not Status.OK or not _agrees(frames[-1], bundled):
-        return joint
+    last, off = frames[-1], _moved(frames[-1], bundled)
+    near = np.linalg.norm(off[:3]) < MAX_TURN and np.linalg.norm(off[3:]) < MAX_SHIFT * joint.object.radius
+    if len(frames) < LEAST or bundled.status is not Status.OK or not near:
+        if not bundled.tied[-1]:
+            return joint
+        # Two ways of using the same matches: a pose is no better known than they agree on it.
+        doubted = replace(last, covariance=_at_least(last.covariance, bundled.covariance[-1]) + np.outer(off, off))
+        return joint.moved({last.number: doubted})
     poses = dict(zip(numbers, bundled.world_from_object, strict=True))
     moved = {
         frame.number: replace(
@@ -103,12 +107,20 @@ def refined(team: Team, joint: Joint) -> Joint:
     return joint.moved(moved)
 
 
-def _agrees(last: SolvedFrame, bundled: Bundled) -> bool:
-    """Whether the last frame's pose is refined by no more than both say that it may be off."""
+def _moved(last: SolvedFrame, bundled: Bundled) -> FloatArray:
+    """(6,) (w, d) by what the last frame's pose is refined."""
     before, after = last.world_from_object, bundled.world_from_object[-1]
     turn = (after.rotation * before.rotation.inv()).as_rotvec()
-    off = np.concatenate([turn, after.translation - before.translation])
-    return bool(off @ np.linalg.solve(last.covariance + bundled.covariance[-1], off) < SURPRISING)
+    return np.concatenate([turn, after.translation - before.translation])
+
+
+def _at_least(a: FloatArray, b: FloatArray) -> FloatArray:
+    """A covariance (6, 6) that is larger than b wherever a is not."""
+    root = np.linalg.cholesky(a)
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ b @ inverse.T)
+    out = root @ vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T @ root.T
+    return np.asarray(0.5 * (out + out.T))
 
 
 def _chosen(joint: Joint) -> list[SolvedFrame]:
