@@ -18,6 +18,7 @@ from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import FramePose, Status
 from sylpose.rig import Rig
 from sylpose.smoothing.bundle import Bundled, Observations, bundle
+from sylpose.smoothing.calibration import Correction, Doubt
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
 
 __all__ = ["Smoothed", "Track", "smooth"]
@@ -69,6 +70,7 @@ class Smoothed:
             long or too short by one factor: what a motion without turns leaves open. inf when nothing was displaced, or
             nothing refined.
         length_share: in [0, 1], the share of it in the variance of all displacements.
+        correction: of the calibration, where that was asked for.
     """
 
     poses: tuple[FramePose, ...]
@@ -79,15 +81,25 @@ class Smoothed:
     rounds: int
     length_sd: float = np.inf
     length_share: float = 0.0
+    correction: Correction | None = None
 
 
-def smooth(frames: Sequence[Track], rig: Rig, *, offsets_sd: float | None = None) -> Smoothed:
+def smooth(
+    frames: Sequence[Track],
+    rig: Rig,
+    *,
+    offsets_sd: float | None = None,
+    doubt: Doubt | None = None,
+    recalibrate: bool = False,
+) -> Smoothed:
     """Refines the poses of all frames together; the first one's stays.
 
     Args:
         frames: in order of time, all that the tracker gave.
         rig: the tracker's.
         offsets_sd: seconds; if given, how far apart in time the cameras are is estimated too, within about this.
+        doubt, recalibrate: what may be wrong with the calibration (`usual_doubt`), and whether to estimate it, as in
+            `bundle`.
     """
     nothing = np.zeros(len(rig))
     used = [k for k, frame in enumerate(frames) if frame.pose.measured and len(frame.sightings)]
@@ -104,6 +116,8 @@ def smooth(frames: Sequence[Track], rig: Rig, *, offsets_sd: float | None = None
         landmarks=places,
         times=np.array([frames[k].pose.time for k in used])[:, None] + late,
         offsets_sd=offsets_sd,
+        doubt=doubt,
+        recalibrate=recalibrate,
     )
     if bundled.status is not Status.TOO_FEW_MATCHES:
         counts, residuals = _per_camera(bundled, seen, len(used), len(rig))
@@ -128,6 +142,7 @@ def smooth(frames: Sequence[Track], rig: Rig, *, offsets_sd: float | None = None
         bundled.rounds,
         bundled.length_sd,
         bundled.length_share,
+        bundled.correction,
     )
 
 
