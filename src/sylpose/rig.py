@@ -36,6 +36,7 @@ class Camera:
         distortion: (4 | 5 | 8 | 12 | 14,) OpenCV coefficients, or (4,) for `lens="fisheye"`; empty means none.
         camera_from_world: pose of the world in the camera, X_c = R X_w + t.
         lens: OpenCV's standard model or its fisheye model.
+        error_px: what the calibration says of its own error, rms reprojection, pixels; None where it says nothing.
 
     Raises:
         ValueError: naming the camera, for a size, matrix or distortion of the wrong shape, not finite or not possible.
@@ -47,6 +48,7 @@ class Camera:
     distortion: FloatArray
     camera_from_world: RigidTransform
     lens: LensModel = "opencv"
+    error_px: float | None = None
 
     def __post_init__(self) -> None:
         matrix = np.array(self.matrix, dtype=float)
@@ -72,6 +74,8 @@ class Camera:
             )
         if not np.isfinite(distortion).all():
             raise ValueError(f"camera {self.name}: the distortion has values that are not finite")
+        if self.error_px is not None and not (np.isfinite(self.error_px) and self.error_px >= 0):
+            raise ValueError(f"camera {self.name}: error_px must be a number of pixels, got {self.error_px}")
         if not self.camera_from_world.single:
             raise ValueError(f"camera {self.name}: camera_from_world must be a single transform")
         if not np.isfinite(self.camera_from_world.as_matrix()).all():

@@ -117,7 +117,7 @@ def test_derivatives(seed: int) -> None:
         np.zeros(1, np.int64),
         np.zeros(1, np.int64),
         0.1 * rng.standard_normal((1, 2)),
-        0.3 * rng.standard_normal((1, 2, 4)),
+        0.3 * rng.standard_normal((1, 3, 4)),
         np.zeros(1, np.int64),
         np.zeros(1, np.int64),
         np.zeros((1, 3)),

@@ -22,6 +22,7 @@ class CameraTable(msgspec.Struct):
     rotation: list[float | list[float]]
     translation: list[float | list[float]]
     fisheye: bool = False
+    error: float | None = None
 
 
 class _NamedTable(CameraTable):
@@ -41,10 +42,13 @@ def read(data: dict[str, Any], path: Path) -> Rig:
         ValueError: naming file and camera.
     """
     cameras = []
+    # Anipose says one error for all cameras, in pixels.
+    metadata = data.get("metadata")
+    whole = metadata.get("error") if isinstance(metadata, dict) else None
     for key, table in data.items():
         if key == "metadata":
             continue
-        entry = convert(table, _NamedTable, f"{path}: camera {key}")
+        entry = convert({"error": whole} | table, _NamedTable, f"{path}: camera {key}")
         cameras.append(camera_of(path, entry.name or key, entry))
     return make_rig(path, cameras)
 
@@ -63,4 +67,5 @@ def camera_of(path: Path, name: str, table: CameraTable) -> Camera:
         distortion=table.distortions,
         camera_from_world=make_pose(path, name, table.rotation, table.translation),
         lens="fisheye" if table.fisheye else "opencv",
+        error_px=table.error,
     )

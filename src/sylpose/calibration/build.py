@@ -51,6 +51,7 @@ def make_camera(
     distortion: Any,
     camera_from_world: RigidTransform,
     lens: LensModel,
+    error_px: float | None = None,
 ) -> Camera:
     """A `Camera` from the numbers in a file.
 
@@ -59,7 +60,7 @@ def make_camera(
         size: (width, height).
         matrix: (3, 3).
         distortion: OpenCV's coefficients in any shape.
-        camera_from_world, lens: as in `Camera`.
+        camera_from_world, lens, error_px: as in `Camera`.
 
     Raises:
         ValueError: naming file and camera, for whatever `Camera` refuses.
@@ -70,7 +71,7 @@ def make_camera(
         raise ValueError(f"{where}: the size must be two whole numbers (width, height), got {size}")
     numbers = _array(matrix, f"{where}: the matrix"), _array(distortion, f"{where}: the distortion")
     try:
-        return Camera(name, (int(width_height[0]), int(width_height[1])), *numbers, camera_from_world, lens)
+        return Camera(name, (int(width_height[0]), int(width_height[1])), *numbers, camera_from_world, lens, error_px)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 

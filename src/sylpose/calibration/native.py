@@ -21,6 +21,7 @@ _HEADER = """\
 # Pixels: the centre of the top-left pixel is (0, 0). Sizes: width, height.
 # camera_from_world: X_camera = rotation X_world + translation; the camera looks along z, x to the right, y down.
 # distortion: OpenCV's coefficients, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]; k1 k2 k3 k4 for lens "fisheye".
+# error_px: of the calibration itself, rms reprojection; left out where it is not known.
 # unit: of all lengths; "" when it is not known.
 """
 
@@ -36,6 +37,7 @@ class _Camera(msgspec.Struct, forbid_unknown_fields=True):
     distortion: list[float]
     camera_from_world: _Pose
     lens: LensModel = "opencv"
+    error_px: float | None = None
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
@@ -66,6 +68,7 @@ def read(data: dict[str, Any], path: Path) -> Rig:
                 distortion=entry.distortion,
                 camera_from_world=make_pose(path, name, pose.rotation, pose.translation),
                 lens=entry.lens,
+                error_px=entry.error_px,
             )
         )
     return make_rig(path, cameras, file.unit)
@@ -79,6 +82,7 @@ def to_text(rig: Rig) -> str:
 
 def _table(camera: Camera) -> str:
     pose = camera.camera_from_world.as_matrix()
+    said = "" if camera.error_px is None else f"error_px = {camera.error_px!r}\n"
     name = camera.name if re.fullmatch("[A-Za-z0-9_-]+", camera.name) else _string(camera.name)
     return f"""
 [cameras.{name}]
@@ -86,7 +90,7 @@ size = {list(camera.size)}
 lens = {_string(camera.lens)}
 matrix = {_rows(camera.matrix)}
 distortion = {camera.distortion.tolist()}
-
+{said}
 [cameras.{name}.camera_from_world]
 rotation = {_rows(pose[:3, :3])}
 translation = {pose[:3, 3].tolist()}

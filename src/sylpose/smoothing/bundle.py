@@ -22,6 +22,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import Status
 from sylpose.rig import Rig
+from sylpose.smoothing.calibration import Correction, Doubt, correction_of, doubting, relinearised
 from sylpose.smoothing.kernels import OFFSET, Sightings
 from sylpose.smoothing.length import noise_share
 from sylpose.smoothing.problem import Fit, Problem, State
@@ -48,6 +49,8 @@ WEAK_TURN, WEAK_RADII = np.pi, 10.0
 # Surfaces stay where they are believed to be when more than this share of what seems to tell where they are is noise
 # (measured: docs/benchmarks.md, "Slides").
 NOISE_SHARE = 0.3
+# Lenses that are refined are linearised so often (choice: each time leaves a hundredth of the error).
+RELINEARISED = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +94,8 @@ class Bundled:
         length_sd: relative standard deviation of the path's length, all displacements of the object's origin being too
             long or too short by one factor: what a motion without turns leaves open. inf when nothing was displaced.
         length_share: in [0, 1], the share of it in the variance of all displacements.
+        correction: of the calibration, if that was asked for.
+        doubt_share: by what share of the doubt the calibration seems to be off; 1 where it was refined or not doubted.
     """
 
     status: Status
@@ -107,6 +112,8 @@ class Bundled:
     excess: FloatArray
     length_sd: float
     length_share: float
+    correction: Correction | None
+    doubt_share: float
 
 
 def bundle(
@@ -121,6 +128,8 @@ def bundle(
     times: ArrayLike | None = None,
     offsets_sd: float | None = None,
     surfaces: tuple[ArrayLike, ArrayLike] | None = None,
+    doubt: Doubt | None = None,
+    recalibrate: bool = False,
     max_rounds: int = 30,
     on_round: Callable[[int], None] | None = None,
 ) -> Bundled:
@@ -141,6 +150,9 @@ def bundle(
             object's origin, towards that camera: its landmarks lie on it give or take three radii and a slope. What is
             believed of it does not average out, so it is all that tells the length of a motion without turns; any turn
             soon tells more. None: `usual_surfaces`, those of ordinary bodies of the radius.
+        doubt: what may be wrong with the calibration. It is then in the covariance, as much as the recording shows it to be
+            wrong; None: nothing.
+        recalibrate: estimate that as well, instead of only counting it.
         max_rounds: bound.
         on_round: called with the number of each round as it begins.
 
@@ -212,7 +224,16 @@ def bundle(
         problem = problem.with_depths_held()
         fit = _minimise(problem, replace(fit.state, z=np.where(shared.depths, 0.0, fit.state.z)), max_rounds, on_round)
         summary = problem.summary(fit, tied)
-    state = fit.state
+    if doubt is not None:
+        free = recalibrate and bool((tied & ~stays).any())
+        problem, state = doubting(problem, fit.state, rig, doubt, held=not free)
+        fit = replace(fit, state=state)
+        for _ in range(RELINEARISED if free else 0):
+            fit = _minimise(problem, fit.state, max_rounds)
+            problem = relinearised(problem, sightings.image, rig, fit.state.z)
+        summary = problem.summary(fit, tied)
+    state, shared = fit.state, problem.shared
+    correction = correction_of(shared, rig, state.z, summary.shared) if doubt is not None else None
 
     points = np.zeros((n_landmarks, 3)) if given is None else given.copy()
     points[names] = state.points
@@ -239,6 +260,8 @@ def bundle(
         summary.excess,
         summary.length_sd,
         summary.length_share,
+        correction if recalibrate else None,
+        summary.doubt_share,
     )
 
 
@@ -323,7 +346,7 @@ def _sorted(seen: Observations, stays: BoolArray) -> tuple[IntArray, IntArray, S
     free = np.where(stays, -1, np.cumsum(~stays) - 1).astype(np.int64)
     frame, camera = (np.asarray(index[order], np.int64) for index in (seen.frame, seen.camera))
     start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    image, lens = np.ascontiguousarray(seen.image[order], dtype=float), np.zeros((len(order), 2, 0))
+    image, lens = np.ascontiguousarray(seen.image[order], dtype=float), np.zeros((len(order), 3, 0))
     nothing = np.zeros((len(names), 3))
     return order, names, Sightings(start, frame, camera, image, lens, free, camera[start[:-1]], nothing, nothing)
 

@@ -29,6 +29,7 @@ __all__ = [
     "derivatives",
     "eliminated",
     "longest_track",
+    "pixels",
     "residuals",
 ]
 
@@ -48,7 +49,8 @@ class Sightings(NamedTuple):
         start: (m + 1,) landmark i has the observations start[i] to start[i + 1].
         frame, camera: (n,), frames not falling within a landmark.
         image: (n, 2) normalised.
-        lens: (n, 2, L) by what the normalised point moves with the camera's L unknowns of the lens; L may be 0.
+        lens: (n, 3, L) by what the normalised point moves with the camera's L unknowns of the lens, and by what share what
+            is one pixel there; L may be 0.
         free: (N,) number of each frame among those that move, rising, or -1 for a frame that is fixed.
         viewer: (m,) the camera that saw a landmark first.
         toward: (m, 3) unit vector from the object's origin towards it then, object's frame.
@@ -101,14 +103,27 @@ def residuals(seen: Sightings, views: Views, points: FloatArray, out: FloatArray
                 y[a] = r[a, 0] * points[i, 0] + r[a, 1] * points[i, 1] + r[a, 2] * points[i, 2]
             z = m[2, 0] * y[0] + m[2, 1] * y[1] + m[2, 2] * y[2] + b[2]
             if z > 1e-9:
+                focal = views.focals[c] * pixels(seen, views, n)
                 for a in range(2):
                     p = m[a, 0] * y[0] + m[a, 1] * y[1] + m[a, 2] * y[2] + b[a]
                     image = seen.image[n, a]
                     for j in range(seen.lens.shape[2]):
                         image += seen.lens[n, a, j] * views.shared[c, LENS + j]
-                    out[n, a] = views.focals[c] * (p / z - image)
+                    out[n, a] = focal * (p / z - image)
             else:
                 out[n, 0], out[n, 1] = BEHIND_PX, 0.0
+
+
+@kernel
+def pixels(seen: Sightings, views: Views, n: int) -> float:
+    """By what a pixel of observation n is larger than with the lens as given.
+
+    Without this, a longer focal length would make all residuals less, and be found.
+    """
+    out, c = 1.0, seen.camera[n]
+    for j in range(seen.lens.shape[2]):
+        out += seen.lens[n, 2, j] * views.shared[c, LENS + j]
+    return out
 
 
 @kernel
@@ -137,7 +152,9 @@ def derivatives(
     g1 = m[1, 0] * y0 + m[1, 1] * y1 + m[1, 2] * y2
     g2 = m[2, 0] * y0 + m[2, 1] * y1 + m[2, 2] * y2
     p0, p1, z = g0 + b[0], g1 + b[1], g2 + b[2]
-    scale = views.focals[c] / z
+    larger = pixels(seen, views, n)
+    focal = views.focals[c] * larger
+    scale = focal / z
     # How the point moves in the camera's axes while time passes.
     v0 = spin[1] * g2 - spin[2] * g1 + drift[0]
     v1 = spin[2] * g0 - spin[0] * g2 + drift[1]
@@ -168,8 +185,10 @@ def derivatives(
                 by_shared[a, SHIFT + j] = -by_pose[a, 3 + j]
             for j in range(seen.lens.shape[2]):
                 seen_at += seen.lens[n, a, j] * views.shared[c, LENS + j]
-                by_shared[a, LENS + j] = -views.focals[c] * seen.lens[n, a, j]
-        e[a] = views.focals[c] * (image - seen_at)
+                by_shared[a, LENS + j] = -focal * seen.lens[n, a, j]
+        e[a] = focal * (image - seen_at)
+        for j in range(seen.lens.shape[2]):
+            by_shared[a, LENS + j] += e[a] * seen.lens[n, 2, j] / larger
 
 
 @kernel

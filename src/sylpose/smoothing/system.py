@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -14,11 +14,14 @@ from sylpose.numerics.compiled import kernel
 from sylpose.smoothing.elimination import Reduced, place_of
 from sylpose.smoothing.shared import Shared
 
-__all__ = ["Factor", "Solver", "System", "diagonal_of_inverse"]
+__all__ = ["Factor", "Solver", "System", "diagonal_of_inverse", "told_share"]
 
 
 # Systems of at most so many frames, or so full, are solved as dense ones (choice).
 DENSE_FRAMES, DENSE_SHARE = 100, 0.25
+# A calibration may be so much better or worse than calibrations usually are, and how good they usually are counts as much as
+# so many directions that are told (choice).
+LEAST_SHARE, MOST_SHARE, BELIEVED_FREEDOM = 0.05, 5.0, 1.0
 # The least that the diagonal is enlarged by, against rounding (choice).
 RIDGE = 1e-12
 
@@ -81,6 +84,15 @@ class Solver:
         told = self.told[np.ix_(free, free)]
         z[free] = np.linalg.solve(told + np.eye(len(told)), slope[free] - self.border[:, free].T @ x)
         return x - self.gain @ z, z
+
+    def with_held(self, held: BoolArray) -> Solver:
+        """The same with others held (k,)."""
+        return replace(self, held=held)
+
+    def scaled(self, share: FloatArray) -> Solver:
+        """The same in other units of z: what was 1 is share (k,)."""
+        told = self.told * share * share[:, None]
+        return replace(self, border=self.border * share, gain=self.gain * share, told=told)
 
     def shared_covariance(self, excess: float = 1.0, *, considered: bool = True) -> FloatArray:
         """(k, k) of the error of z, when all that is told has so many times the variance.
@@ -159,6 +171,26 @@ class System:
         options = {"SymmetricMode": True}
         matrix = (half + half.T + diags_array(lower.diagonal())).tocsc()
         return Factor(None, splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options))
+
+
+def told_share(solver: Solver, system: System, which: BoolArray, excess: float) -> float:
+    """By what share of the size believed of them some of z (k,), which are free, seem to be off.
+
+    Most likely, if they are all off alike: in the directions that the system tells of, each with a variance of its own,
+    which is so many times what the system says, beside share squared. Where little is told, about 1, as was believed.
+    """
+    other = ~which & ~solver.held
+    slope = system.slope() - solver.border.T @ solver.frames.solve(system.reduced.gradient.reshape(-1, 1))[:, 0]
+    inner = solver.told[np.ix_(other, other)] + np.eye(int(other.sum()))
+    cross = np.linalg.solve(inner, solver.told[np.ix_(other, which)]).T
+    told = solver.told[np.ix_(which, which)] - cross @ solver.told[np.ix_(other, which)]
+    values, vectors = np.linalg.eigh(0.5 * (told + told.T))
+    values, off = np.maximum(values, 1e-12), vectors.T @ (slope[which] - cross @ slope[other])
+    shares = np.geomspace(LEAST_SHARE, MOST_SHARE, 60)
+    variance = shares[:, None] ** 2 + excess / values
+    cost = (np.log(variance) + (off / values) ** 2 / variance).sum(axis=1)
+    cost += BELIEVED_FREEDOM * (2.0 * np.log(shares) + shares**-2.0)
+    return float(shares[np.argmin(cost)])
 
 
 @kernel

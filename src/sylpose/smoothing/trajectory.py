@@ -18,6 +18,7 @@ from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import FramePose, Observable, Status
 from sylpose.rig import Rig
 from sylpose.smoothing.bundle import Bundled, Observations
+from sylpose.smoothing.calibration import Correction, Doubt
 from sylpose.smoothing.sized import bundle_sized, length_is_open
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
 
@@ -70,6 +71,7 @@ class Smoothed:
             long or too short by one factor: what a motion without turns leaves open. inf when nothing was displaced, or
             nothing refined.
         length_share: in [0, 1], the share of it in the variance of all displacements.
+        correction: of the calibration, where that was asked for.
     """
 
     poses: tuple[FramePose, ...]
@@ -80,6 +82,7 @@ class Smoothed:
     rounds: int
     length_sd: float = np.inf
     length_share: float = 0.0
+    correction: Correction | None = None
 
 
 def smooth(
@@ -87,6 +90,8 @@ def smooth(
     rig: Rig,
     *,
     offsets_sd: float | None = None,
+    doubt: Doubt | None = None,
+    recalibrate: bool = False,
     on_round: Callable[[int], None] | None = None,
 ) -> Smoothed:
     """Refines the poses of all frames together; the first one's stays.
@@ -95,6 +100,8 @@ def smooth(
         frames: in order of time, all that the tracker gave.
         rig: the tracker's.
         offsets_sd: seconds; if given, how far apart in time the cameras are is estimated too, within about this.
+        doubt, recalibrate: what may be wrong with the calibration (`usual_doubt`), and whether to estimate it, as in
+            `bundle`.
         on_round: called with the number of each round of the refinement as it begins.
     """
     nothing = np.zeros(len(rig))
@@ -112,6 +119,8 @@ def smooth(
         landmarks=places,
         times=np.array([frames[k].pose.time for k in used])[:, None] + late,
         offsets_sd=offsets_sd,
+        doubt=doubt,
+        recalibrate=recalibrate,
         on_round=on_round,
     )
     if bundled.status is not Status.TOO_FEW_MATCHES:
@@ -139,6 +148,7 @@ def smooth(
         bundled.rounds,
         bundled.length_sd,
         bundled.length_share,
+        bundled.correction,
     )
 
 

@@ -1,0 +1,136 @@
+"""How much of a calibration's errors does `--refine-calibration` take out? Rigs with known truth, disturbed.
+
+    python benchmarks/calibration.py [--seeds 4] [--turn-deg 0 20 60 180] [--off 0 0.2 1 3]
+
+Simulated tracks of a body that turns and moves about, seen by the true rig, are told to be of a rig whose cameras are turned
+by so many degrees about each axis, shifted by 3 mm, focal lengths by 1 %, principal points by 5 px, radial coefficients by
+0.02 (one standard deviation each). For each row, before and after: the rms error of the cameras' turns and shifts after the best
+common similarity, of the focal lengths, of the last pose, and the median NEES of the poses with the given and with the refined
+calibration.
+"""
+
+from __future__ import annotations
+
+import argparse
+from itertools import product
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from benchmarks.slides import error, tracks
+from sylpose.numerics.arrays import FloatArray
+from sylpose.rig import Rig
+from sylpose.simulate import arc, box, ring
+from sylpose.smoothing.bundle import Bundled, Observations, bundle
+from sylpose.smoothing.calibration import corrected, usual_doubt
+
+LENS = (-0.11, 0.03, 0.0004, -0.0003, 0)
+RIGS = {
+    "4 around": ring(4, 1.5, 1000.0, height=(0.4, -0.1, 0.2, 0.5), distortion=LENS),
+    "4 in 120°": arc(4, 40.0, 1.5, 1000.0, height=(0.3, -0.1, 0.2, 0.1), distortion=LENS),
+    "2 in 40°": arc(2, 40.0, 1.5, 1000.0, height=(0.2, -0.1), distortion=LENS),
+}
+
+
+def path(frames: int, degrees: float) -> RigidTransform:
+    """A turn about a changing axis, and a way about as long as the object."""
+    s = np.linspace(0.0, 1.0, frames)[:, None]
+    wave = np.deg2rad(degrees) * 0.3 * np.hstack([np.sin(6 * s), 0 * s, 1 - np.cos(5 * s)])
+    turn = Rotation.from_rotvec(wave) * Rotation.from_rotvec(np.deg2rad(degrees) * s * np.array([0.25, 0.9, 0.35]))
+    place = 0.12 * np.hstack([s, 0.6 * np.sin(4 * s), 0.7 * np.sin(6 * s)])
+    poses = RigidTransform.from_components(place, turn)
+    return poses * poses[0].inv()
+
+
+def disturbed(rig: Rig, degrees: float, seed: int) -> Rig:
+    """The rig as a calibration might have it that is off by so many degrees, and by other things in proportion up to 1."""
+    rng, n, share = np.random.default_rng(seed), len(rig), min(degrees, 1.0)
+    sizes = np.concatenate([np.full(3, np.deg2rad(degrees)), share * np.array([0.003] * 3 + [0.01, 5.0, 5.0, 0.02])])
+    return corrected(rig, np.hstack([np.zeros((n, 4)), sizes * rng.standard_normal((n, 10))]))
+
+
+def seen_as(seen: Observations, rig: Rig, told: Rig) -> Observations:
+    """The same pixels, normalised by another calibration."""
+    image = seen.image.copy()
+    for c, (true, other) in enumerate(zip(rig, told, strict=True)):
+        mine = seen.camera == c
+        image[mine] = other.normalize(true.denormalize(image[mine]))
+    return Observations(seen.frame, seen.camera, seen.landmark, image)
+
+
+def common(rig: Rig, truth: Rig) -> tuple[float, Rotation, FloatArray, FloatArray]:
+    """Scale, turn and shift that take the rig's world to the true one, and (C, 2) what is left of each camera: degrees, mm.
+
+    The turn is that of the cameras' axes, which two cameras tell as well as many.
+    """
+    turn = Rotation.concatenate(
+        [t.camera_from_world.rotation.inv() * c.camera_from_world.rotation for c, t in zip(rig, truth)]
+    )
+    mean = turn.mean()
+    mine, true = mean.apply(np.array([c.center for c in rig])), np.array([c.center for c in truth])
+    a, b = mine - mine.mean(axis=0), true - true.mean(axis=0)
+    scale = float((a * b).sum() / (a * a).sum())
+    shift = true.mean(axis=0) - scale * mine.mean(axis=0)
+    left = np.rad2deg((mean.inv() * turn).magnitude())
+    return scale, mean, shift, np.column_stack([left, 1e3 * np.linalg.norm(scale * mine + shift - true, axis=1)])
+
+
+def pose_errors(found: Bundled, rig: Rig, truth: Rig, true: RigidTransform) -> FloatArray:
+    """(N, 6) errors of (w, d), in the true world after the best common similarity."""
+    scale, turn, shift, _ = common(rig, truth)
+    out = []
+    for k in range(len(true)):
+        # The motion since the first frame, in the true world.
+        now, first = found.world_from_object[k], found.world_from_object[0]
+        moved = now * first.inv()
+        w = turn * moved.rotation * turn.inv()
+        t = scale * turn.apply(moved.translation) + shift - w.apply(shift)
+        whole = RigidTransform.from_components(t, w) * true[0]
+        out.append(error(true[k], whole))
+    return np.array(out)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--frames", type=int, default=24)
+    parser.add_argument("--turn-deg", type=float, nargs="+", default=[20.0, 60.0, 180.0])
+    parser.add_argument("--off", type=float, nargs="+", default=[0.0, 0.2, 1.0, 3.0])
+    options = parser.parse_args()
+    print(
+        "| rig | turn | off by | degrees | mm | focal, % | pose, degrees | pose, mm | NEES | of the cameras | share |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    body = box((0.24, 0.18, 0.2))
+    for (name, rig), degrees, off in product(RIGS.items(), options.turn_deg, options.off):
+        rows = []
+        for seed in range(options.seeds):
+            true, told = path(options.frames, degrees), disturbed(rig, off, seed)
+            seen = seen_as(tracks(body, true, rig, 60, 0.3, seed), rig, told)
+            given, refined = (
+                bundle(told, seen, true, body.radius, doubt=usual_doubt(told), recalibrate=r) for r in (False, True)
+            )
+            assert refined.correction is not None
+            row = []
+            for found, now in ((given, told), (refined, refined.correction.rig)):
+                left = np.sqrt((common(now, rig)[3] ** 2).mean(axis=0))
+                focal = 100 * np.sqrt(np.mean([(a.focal / b.focal - 1) ** 2 for a, b in zip(now, rig, strict=True)]))
+                e = pose_errors(found, now, rig, true)
+                nees = [x @ np.linalg.solve(c, x) for x, c in zip(e[1:], found.covariance[1:], strict=True)]
+                row.append(
+                    [
+                        *left,
+                        focal,
+                        np.rad2deg(np.linalg.norm(e[-1, :3])),
+                        1e3 * np.linalg.norm(e[-1, 3:]),
+                        np.median(nees),
+                    ]
+                )
+            rows.append([*np.concatenate(row), given.doubt_share])
+        before, after, share = *np.split(np.mean(rows, axis=0)[:12], 2), np.mean(rows, axis=0)[12]
+        cells = " | ".join(f"{a:.3g} → {b:.2g}" for a, b in zip(before, after, strict=True))
+        print(f"| {name} | {degrees:g}° | {off:g}° | {cells} | {share:.2f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
