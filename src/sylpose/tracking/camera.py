@@ -10,23 +10,29 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import Features, detect, seen_before
+from sylpose.features.sift import ALL_FEATURES, MAX_FEATURES, Features, detect, seen_before
 from sylpose.landmarks.places import Landmarks, learn_landmarks
 from sylpose.landmarks.table import LandmarkTable
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.rig import Camera
 from sylpose.tracking.anchor import CameraAnchor, Followed, begin_anchor, follow, gone_on
-from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, learn_background, match_pair, still
+from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, learn_background, match_pair, pair_near, still
 from sylpose.tracking.region import polygon_mask
 
-__all__ = ["CameraPart", "SeenAgain"]
+__all__ = ["CameraPart", "SeenAgain", "View"]
+
+# An image, and the mask (h, w) of the object in it.
+View = tuple[Image | None, BoolArray | None]
 
 # Landmarks whose depth is known to this share of the object's radius show where its surface is (choice).
 KNOWN_DEPTH = 0.1
 # So many of them show it better than what the boxes allow (choice).
 MIN_SURFACE = 20
+# A feature this near to one that is known, pixels, is the same (choice).
+KNOWN_PLACE_PX = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +85,7 @@ class CameraPart:
         anchor: its side of the frame whose features are followed, if any.
         surroundings: the first frame's features outside the object's region: what is later seen at the same place is
             background.
+        view: image and mask of the last solved frame, until all is found in it that there is.
     """
 
     def __init__(self, index: int, camera: Camera) -> None:
@@ -87,16 +94,27 @@ class CameraPart:
         self.anchor: CameraAnchor | None = None
         self.surroundings = Features.none()
         self.table = LandmarkTable()
+        self.view: View = (None, None)
 
     # --- seeing: nothing of it is remembered -------------------------------------------------------------------------
 
-    def detect(self, image: Image | None, mask: BoolArray | None, where: BoolArray | None, most: int) -> Features:
-        """The features of an image, inside an area (h, w; None: everywhere) and the object's mask; the `most` strongest."""
+    def detect(
+        self,
+        image: Image | None,
+        mask: BoolArray | None,
+        where: BoolArray | None,
+        most: int = MAX_FEATURES,
+        *,
+        faint: bool = False,
+    ) -> Features:
+        """The features of an image, inside an area (h, w; None: everywhere) and the object's mask; the `most` strongest, or
+        with `faint` all."""
         if image is None:
             return Features.none()
         if where is None:
             where = np.ones(self.camera.size[::-1], bool)
-        return detect(image, self.camera, where if mask is None else where & mask, most)
+        where = where if mask is None else where & mask
+        return detect(image, self.camera, where, ALL_FEATURES if faint else most, faint=faint)
 
     def inside(self, features: Features, region: FloatArray | None) -> BoolArray:
         """(n,) which features are inside a region's outline (k, 2)."""
@@ -127,6 +145,13 @@ class CameraPart:
         """Matches by their looks with earlier frames, in this order: each passes on what it knows of the background, and the
         next one uses it."""
         pairs = [match_pair(number, self.frames[number], current) for number in references]
+        return [pair for pair in pairs if len(pair)]
+
+    def match_near(
+        self, current: CameraFrame, references: Sequence[int], pose: RigidTransform, reach_px: float
+    ) -> list[Pair]:
+        """Matches with earlier frames of what is where it should be at a pose (world_from_object), within some pixels."""
+        pairs = [pair_near(number, self.frames[number], current, self.camera, pose, reach_px) for number in references]
         return [pair for pair in pairs if len(pair)]
 
     # --- learning: once a frame is accepted --------------------------------------------------------------------------
@@ -179,14 +204,41 @@ class CameraPart:
         new = learn_landmarks(frame.features, seen_from, world_from_object, none.known, none.index, cloud, radius)
         return replace(new, id=frame.numbers)
 
-    def begin(self, number: int, first: CameraFrame, surroundings: Features) -> None:
-        """The first solved frame; the features around the object in it."""
-        self.frames, self.anchor = {number: first}, None
+    def begin(self, number: int, first: CameraFrame, surroundings: Features, view: View) -> None:
+        """The first solved frame, with its image; the features around the object in it."""
+        self.frames, self.anchor, self.view = {number: first}, None, view
         self.surroundings = surroundings
 
-    def keep(self, number: int, current: CameraFrame, numbers: set[int]) -> None:
-        """A solved frame; of those with other numbers than these nothing is kept."""
-        self.frames[number] = current
+    def enrich(
+        self, number: int, pose: RigidTransform, region: FloatArray | None, cloud: FloatArray, radius: float
+    ) -> None:
+        """All that can still be found in the image of the last solved frame becomes features of it, once.
+
+        Args:
+            pose: its world_from_object; region: (k, 2) the object's outline in it, None out of sight.
+            cloud: (n, 3) points on the object, object's frame, where too few landmarks tell where its surface is.
+        """
+        (image, mask), self.view = self.view, (None, None)
+        old = self.frames[number]
+        found = self.detect(image, mask, polygon_mask(region, self.camera.size), faint=True)
+        if len(found) and len(old.features):
+            found = found.subset(cKDTree(old.features.pixels).query(found.pixels)[0] > KNOWN_PLACE_PX)
+        if not len(found):
+            return
+        known, none = old.landmarks, SeenAgain.none()
+        surface = known.mean[known.depth_sd < KNOWN_DEPTH * radius]
+        cloud = surface if len(surface) >= MIN_SURFACE else cloud
+        new = learn_landmarks(found, self.camera, pose, none.known, none.index, cloud, radius)
+        self.frames[number] = CameraFrame(
+            Features.concatenate([old.features, found]),
+            np.concatenate([old.background, self.known_background(found)]),
+            self.table,
+            np.concatenate([old.numbers, self.table.learn(new)]),
+        )
+
+    def keep(self, number: int, current: CameraFrame, numbers: set[int], view: View) -> None:
+        """A solved frame, with its image; of those with other numbers than these nothing is kept."""
+        self.frames[number], self.view = current, view
         self.frames = {k: frame for k, frame in self.frames.items() if k in numbers}
         self.table.keep(np.concatenate([frame.numbers for frame in self.frames.values()]))
 
@@ -200,5 +252,5 @@ class CameraPart:
 
     def forget(self) -> None:
         """Everything: the object is looked for anew."""
-        self.frames, self.anchor, self.surroundings = {}, None, Features.none()
+        self.frames, self.anchor, self.surroundings, self.view = {}, None, Features.none(), (None, None)
         self.table = LandmarkTable()

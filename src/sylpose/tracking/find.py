@@ -92,15 +92,22 @@ class Team:
         return np.random.default_rng(self.seed)
 
     def detect(
-        self, frames: FrameSet, regions: Sequence[Region] | None, most: int, *, around: bool = False
+        self,
+        frames: FrameSet,
+        regions: Sequence[Region] | None,
+        most: int = MAX_FEATURES,
+        *,
+        around: bool = False,
+        faint: bool = False,
     ) -> list[Features]:
-        """By camera, each its own: the features inside the object's regions, or around them; None: anywhere."""
+        """By camera, each its own: the features inside the object's regions, or around them; None: anywhere. With `faint`
+        all that there are."""
 
         def of(c: int) -> Features:
             where = None
             if regions is not None:
                 where = polygon_mask(regions[c], self.rig.cameras[c].size) ^ around
-            return self.parts[c].detect(frames.images[c], frames.masks[c], where, most)
+            return self.parts[c].detect(frames.images[c], frames.masks[c], where, most, faint=faint)
 
         return self.crew.each(of, long=True)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import Features, match_features
+from sylpose.features.sift import Features, match_features, match_where_expected
 from sylpose.landmarks.places import Landmarks
 from sylpose.landmarks.table import LandmarkTable
 from sylpose.matches import STILL_PX
@@ -24,12 +24,15 @@ __all__ = [
     "inliers_of",
     "learn_background",
     "match_pair",
+    "pair_near",
     "still",
     "triangulate",
 ]
 
 # A feature that stands still where the object's surface moved by this much is background (choice).
 BACKGROUND_PX = 4.0
+# Standard deviations of its depth within which a landmark is looked for (choice).
+DEPTH_REACH = 2.0
 # Points are added to the object's cloud when their depth is known to this share of it (choice).
 DEPTH_SHARE = 0.1
 
@@ -171,6 +174,23 @@ def match_pair(reference: int, earlier: CameraFrame, current: CameraFrame) -> Pa
     standing = np.linalg.norm(a.pixels[indices[:, 0]] - b.pixels[indices[:, 1]], axis=1) < STILL_PX
     current.background[indices[known & standing, 1]] = True
     return Pair.of(reference, earlier, b, indices[~known & ~current.background[indices[:, 1]]])
+
+
+def pair_near(
+    reference: int, earlier: CameraFrame, current: CameraFrame, camera: Camera, pose: RigidTransform, reach_px: float
+) -> Pair:
+    """Matches of one camera between the earlier frame's landmarks and what is where they should be.
+
+    Args:
+        pose: world_from_object, of the current frame.
+        reach_px: how far from there, pixels, besides what the landmarks' depth leaves open.
+    """
+    landmarks = earlier.landmarks
+    away = DEPTH_REACH * landmarks.depth_error
+    ends = np.stack([camera.project(pose.apply(landmarks.mean + s * away).reshape(-1, 3)) for s in (-1, 1)], axis=1)
+    ends[earlier.background] = np.nan
+    indices = match_where_expected(earlier.features, current.features, ends, reach_px)
+    return Pair.of(reference, earlier, current.features, indices[~current.background[indices[:, 1]]])
 
 
 def inliers_of(pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> list[Pair]:

@@ -61,7 +61,7 @@ def accept_first(
 
     def learn(c: int) -> None:
         part, current = parts[c], frame.cameras[c]
-        part.begin(frame.number, current, surroundings[c])
+        part.begin(frame.number, current, surroundings[c], (frames.images[c], frames.masks[c]))
         part.learn(current, part.camera, pose, SeenAgain.none(), model.points, model.radius, bulge)
 
     crew.each(learn)
@@ -122,7 +122,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         part.learn(current, found.rig.cameras[c], pose, seen[c], model.points, radius)
         if followed is not None and not found.anew:
             part.go_on(followed, found.pairs[c], [w for w, _ in solution.agreement[c]])
-        part.keep(frame.number, current, kept)
+        part.keep(frame.number, current, kept, (frames.images[c], frames.masks[c]))
         if begins:
             part.anchor_at(frame.number, frames.images[c], followed)
         before = None if followed is None else followed.before

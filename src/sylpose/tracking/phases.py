@@ -39,6 +39,7 @@ from sylpose.tracking.joint import Joint
 from sylpose.tracking.learn import accept_first, accepted, not_found, triangulated, with_surface
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.start import FirstMotion, first_motion, is_ambiguous
+from sylpose.tracking.thorough import searched
 from sylpose.tracking.tracked_frame import TrackedFrame, unsolved_frame
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.motion import motion_about
@@ -94,6 +95,8 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
         frame = team.frame(number, frames, looked_for(team, frames, regions, followed))
         joint, found = _found(team, joint, frame, ahead, regions, followed)
     if found is None:
+        joint, found = _found_thoroughly(team, joint, number, frames, ahead, regions)
+    if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
     return not_found(joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
 
@@ -111,6 +114,12 @@ def recover(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Jo
         if near is not None:
             pose = near.motion * joint.base.world_from_object
             joint, found = _confirmed(team, joint, number, frames, features, pose)
+        if found is None:
+            joint, near = _found_thoroughly(team, joint, number, frames, ahead, regions)
+            if near is not None:
+                pose = near.motion * joint.base.world_from_object
+                features = features_of(team, near.frame.cameras)
+                joint, found = _confirmed(team, joint, number, frames, features, pose)
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
     return not_found(joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
@@ -131,6 +140,19 @@ def _found(
     if joint.object.guessed:
         joint = with_surface(team, joint, pairs)
     return joint, solved_from(team, joint, frame, pairs, guess, regions, followed, anew=anew)
+
+
+def _found_thoroughly(
+    team: Team,
+    joint: Joint,
+    number: int,
+    frames: FrameSet,
+    ahead: RigidTransform,
+    regions: Sequence[Region],
+) -> tuple[Joint, Found | None]:
+    """The frame's pose, with everything that there is."""
+    frame = team.frame(number, frames, team.detect(frames, regions, faint=True))
+    return searched(team, joint, frame, ahead, regions)
 
 
 def _found_anywhere(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joint, Found | None]:
