@@ -27,6 +27,7 @@ __all__ = [
     "pair_near",
     "still",
     "triangulate",
+    "without_background",
 ]
 
 # A feature that stands still where the object's surface moved by this much is background (choice).
@@ -213,7 +214,33 @@ def learn_background(
         before, now: world_from_object.
         radius: of the object.
     """
-    # Where each point would be now if it were on the object, at the depth of its centre.
+    _mark(pair, current, still(pair) & _would_move(pair, camera, before, now, radius))
+
+
+def without_background(
+    pair: Pair, current: CameraFrame, camera: Camera, before: RigidTransform, ahead: RigidTransform, radius: float
+) -> Pair:
+    """The matches without those that stand still and were never seen to move, where a point on the object would have moved:
+    they are marked as `learn_background` marks them, before the pose is known.
+
+    Args:
+        ahead: world_from_object as predicted. An object that stops instead is still known by what was seen to move.
+    """
+    background = still(pair) & ~pair.landmarks.moved
+    if not background.any():
+        return pair
+    background &= _would_move(pair, camera, before, ahead, radius)
+    _mark(pair, current, background)
+    return pair.subset(~background)
+
+
+def _mark(pair: Pair, current: CameraFrame, background: BoolArray) -> None:
+    pair.earlier.background[pair.indices[background, 0]] = True
+    current.background[pair.indices[background, 1]] = True
+
+
+def _would_move(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTransform, radius: float) -> BoolArray:
+    """(n,) whether each match would move if it were on the object, at any depth of it."""
     middle = camera.camera_from_world.apply(before.translation)[2]
     motion = now * before.inv()
     moved = np.full(len(pair), np.inf)
@@ -221,9 +248,7 @@ def learn_background(
         points = max(depth, 0.1 * middle) * np.column_stack([pair.normalized_i, np.ones(len(pair))])
         expected = camera.project(motion.apply(camera.camera_from_world.inv().apply(points)))
         moved = np.fmin(moved, np.linalg.norm(expected - pair.pixels_i, axis=1))
-    background = still(pair) & (moved > BACKGROUND_PX)
-    pair.earlier.background[pair.indices[background, 0]] = True
-    current.background[pair.indices[background, 1]] = True
+    return np.asarray(moved > BACKGROUND_PX)
 
 
 def triangulate(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTransform) -> FloatArray:

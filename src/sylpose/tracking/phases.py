@@ -29,6 +29,7 @@ from sylpose.tracking.find import (
     is_the_same,
     looked_for,
     matched,
+    on_the_move,
     recognised_anywhere,
     regions_of,
     solved_from,
@@ -86,13 +87,14 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
     followed, found = None, None
     if joint.anchor is not None:
         followed, total, enough = followed_from_anchor(team, joint, frames, ahead, regions)
-        if enough:
+        # The first motion is not known yet: what is followed with ease may be what stands still.
+        if enough and joint.velocity.frames:
             frame = team.frame(number, frames, features_of(team, followed))
             joint, found = _found(team, joint, frame, ahead, regions, followed, anew=False)
             if found is not None and not found.matches > ANCHOR_SHARE * total:
                 found = None
     if found is None:
-        frame = team.frame(number, frames, looked_for(team, frames, regions, followed))
+        frame = team.frame(number, frames, looked_for(team, joint, frames, ahead, regions, followed))
         joint, found = _found(team, joint, frame, ahead, regions, followed)
     if found is None:
         joint, found = _found_thoroughly(team, joint, number, frames, ahead, regions)
@@ -109,7 +111,7 @@ def recover(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Jo
     found = None
     if not joint.lost:
         regions = regions_of(team, joint, ahead, min(REGION_GROWTH * (1 + joint.missed), MAX_GROWTH))
-        features = looked_for(team, frames, regions, None)
+        features = looked_for(team, joint, frames, ahead, regions, None)
         joint, near = _found(team, joint, team.frame(number, frames, features), ahead, regions)
         if near is not None:
             pose = near.motion * joint.base.world_from_object
@@ -137,8 +139,11 @@ def _found(
 ) -> tuple[Joint, Found | None]:
     """The frame's pose, from a guess. While nothing but boxes tells where the object's surface is, its matches may."""
     pairs = matched(team, joint, frame, guess, followed, anew=anew)
-    if joint.object.guessed:
-        joint = with_surface(team, joint, pairs)
+    if joint.object.guessed or not joint.velocity.frames:
+        joint, seen = with_surface(team, joint, pairs)
+        if seen is not None and not joint.velocity.frames:
+            # The first motion: what does not take part in it is background, however much of the boxes it fills.
+            guess, pairs = seen, on_the_move(team, joint, frame, pairs, seen)
     return joint, solved_from(team, joint, frame, pairs, guess, regions, followed, anew=anew)
 
 

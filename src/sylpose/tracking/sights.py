@@ -97,20 +97,22 @@ def chance_of(
     """How many of a camera's features agree with a pose, and how many random matches would.
 
     A random match agrees when it falls into the ellipse around its landmark's image in which it counts as an inlier: that
-    happens with the ellipse's share of the region that the camera's features fill. What is not trusted is no evidence.
+    happens with the ellipse's share of the region that the camera's features fill. What is not trusted is no evidence, for a
+    pose or against it.
     """
     matches = int((weights > 0).sum())
     if not len(sights.image):
         return Chance(matches, 0, 0, 0.0, 0)
-    good = (weights > 0) & (sights.trust > TRUSTED)
+    trusted = sights.trust > TRUSTED
+    good = (weights > 0) & trusted
     sigma = np.sqrt(np.mean(residuals[good] ** 2)) / sights.focal if good.any() else 1.0 / sights.focal
     along = smear(sights, rotation, shift)
     region = float(np.prod(np.ptp(current.features.normalized, axis=0)))
     share = np.minimum(np.pi * CUTOFF**2 * sigma * np.hypot(sigma, along) / max(region, 1e-12), 1.0)
     # A feature that is matched with several landmarks is tried once.
-    by_chance = float(np.bincount(sights.feature, share).sum() / max(np.bincount(sights.feature).max(), 1))
+    by_chance = float(share[trusted].sum() / max(np.bincount(sights.feature[trusted]).max(initial=0), 1))
     inliers, tried = (
-        int(np.count_nonzero(np.bincount(features))) for features in (sights.feature[good], sights.feature)
+        int(np.count_nonzero(np.bincount(features))) for features in (sights.feature[good], sights.feature[trusted])
     )
     return Chance(matches, inliers, tried, by_chance, 3)
 

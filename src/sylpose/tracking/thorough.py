@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.landmarks.camera_terms import CUTOFF
-from sylpose.tracking.find import Found, Region, Team, regions_of, solved_from
+from sylpose.tracking.find import Found, Region, Team, on_the_move, regions_of, solved_from
 from sylpose.tracking.frame import Frame, Pair
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import nearest_views, viewpoints
@@ -42,13 +42,16 @@ def searched(
     enriched(team, joint)
     references = references_within(team, joint, ahead)
     pairs = team.crew.each(lambda c: team.parts[c].match(frame.cameras[c], references[c]), long=True)
-    if joint.object.guessed:
-        joint = with_surface(team, joint, pairs)
+    pairs, seen = on_the_move(team, joint, frame, pairs, ahead), None
+    if joint.object.guessed or not joint.velocity.frames:
+        joint, seen = with_surface(team, joint, pairs)
+        if seen is not None and not joint.velocity.frames:
+            ahead, pairs = seen, on_the_move(team, joint, frame, pairs, seen)
     found = solved_from(team, joint, frame, pairs, ahead, regions)
-    candidates = [narrowed(team, joint, frame, found, regions)]
-    if joint.velocity.frames:
-        near = found_near(team, joint, frame, ahead, regions, PREDICTED)
-        candidates.append(narrowed(team, joint, frame, near, regions))
+    candidates = [narrowed(team, joint, frame, found, ahead, regions)]
+    if joint.velocity.frames or seen is not None:
+        near = found_near(team, joint, frame, ahead, ahead, regions, PREDICTED)
+        candidates.append(narrowed(team, joint, frame, near, ahead, regions))
     best = max((c for c in candidates if c is not None), key=score, default=None)
     return joint, best
 
@@ -74,9 +77,15 @@ def references_within(team: Team, joint: Joint, guess: RigidTransform) -> list[l
 
 
 def found_near(
-    team: Team, joint: Joint, frame: Frame, pose: RigidTransform, regions: Sequence[Region], share: float
+    team: Team,
+    joint: Joint,
+    frame: Frame,
+    pose: RigidTransform,
+    ahead: RigidTransform,
+    regions: Sequence[Region],
+    share: float,
 ) -> Found | None:
-    """The frame solved from what is where it should be at a pose."""
+    """The frame solved from what is where it should be at a pose, but for what is background by where it is predicted."""
     references = references_within(team, joint, pose)
 
     def of(c: int) -> list[Pair]:
@@ -85,15 +94,18 @@ def found_near(
         reach = max(share * joint.object.radius / depth * camera.focal, LEAST_PX)
         return team.parts[c].match_near(frame.cameras[c], references[c], pose, reach)
 
-    return solved_from(team, joint, frame, team.crew.each(of, long=True), pose, regions)
+    pairs = on_the_move(team, joint, frame, team.crew.each(of, long=True), ahead)
+    return solved_from(team, joint, frame, pairs, pose, regions)
 
 
-def narrowed(team: Team, joint: Joint, frame: Frame, found: Found | None, regions: Sequence[Region]) -> Found | None:
+def narrowed(
+    team: Team, joint: Joint, frame: Frame, found: Found | None, ahead: RigidTransform, regions: Sequence[Region]
+) -> Found | None:
     """Solved again from all that is where a solution says."""
     if found is None:
         return None
     pose = found.motion * joint.base.world_from_object
-    return found_near(team, joint, frame, pose, regions, SOLVED)
+    return found_near(team, joint, frame, pose, ahead, regions, SOLVED)
 
 
 def score(found: Found) -> float:
