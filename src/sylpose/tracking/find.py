@@ -65,7 +65,7 @@ AGAIN_SD, WAIT_FOR_MORE = 0.005, 2
 # radius (choice).
 AGAIN_TURN, AGAIN_SHIFT = 0.17, 0.3
 # After so many frames in a row it is known how the object moves (choice).
-KNOWN_SPEED = 2
+KNOWN_SPEED = 1
 # Matches that are off by this share of the object's radius in the image (root mean square), and by so many pixels, agree
 # with anything (choice).
 NOISE, NOISE_PX = 0.03, 3.0

@@ -32,6 +32,9 @@ __all__ = [
 
 # A feature that stands still where the object's surface moved by this much is background (choice).
 BACKGROUND_PX = 4.0
+# Faint features stand still less exactly: within this, pixels, if it is no more than this share of what a point on the
+# object moves (choice).
+FAINTLY_STILL_PX, STILL_SHARE = 4.0, 0.2
 # Standard deviations of its depth within which a landmark is looked for (choice).
 DEPTH_REACH = 2.0
 # Points are added to the object's cloud when their depth is known to this share of it (choice).
@@ -214,7 +217,7 @@ def learn_background(
         before, now: world_from_object.
         radius: of the object.
     """
-    _mark(pair, current, still(pair) & _would_move(pair, camera, before, now, radius))
+    _mark(pair, current, still(pair) & (_moved_px(pair, camera, before, now, radius) > BACKGROUND_PX))
 
 
 def without_background(
@@ -226,10 +229,12 @@ def without_background(
     Args:
         ahead: world_from_object as predicted. An object that stops instead is still known by what was seen to move.
     """
-    background = still(pair) & ~pair.landmarks.moved
+    shift = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
+    background = (shift < FAINTLY_STILL_PX) & ~pair.landmarks.moved
     if not background.any():
         return pair
-    background &= _would_move(pair, camera, before, ahead, radius)
+    moved = _moved_px(pair, camera, before, ahead, radius)
+    background &= (moved > BACKGROUND_PX) & (shift < np.maximum(STILL_SHARE * moved, STILL_PX))
     _mark(pair, current, background)
     return pair.subset(~background)
 
@@ -239,8 +244,8 @@ def _mark(pair: Pair, current: CameraFrame, background: BoolArray) -> None:
     current.background[pair.indices[background, 1]] = True
 
 
-def _would_move(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTransform, radius: float) -> BoolArray:
-    """(n,) whether each match would move if it were on the object, at any depth of it."""
+def _moved_px(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTransform, radius: float) -> FloatArray:
+    """(n,) by how much each match would move at least if it were on the object, pixels, at any depth of it."""
     middle = camera.camera_from_world.apply(before.translation)[2]
     motion = now * before.inv()
     moved = np.full(len(pair), np.inf)
@@ -248,7 +253,7 @@ def _would_move(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTr
         points = max(depth, 0.1 * middle) * np.column_stack([pair.normalized_i, np.ones(len(pair))])
         expected = camera.project(motion.apply(camera.camera_from_world.inv().apply(points)))
         moved = np.fmin(moved, np.linalg.norm(expected - pair.pixels_i, axis=1))
-    return np.asarray(moved > BACKGROUND_PX)
+    return moved
 
 
 def triangulate(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTransform) -> FloatArray:
