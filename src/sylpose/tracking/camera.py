@@ -31,6 +31,8 @@ View = tuple[Image | None, BoolArray | None]
 KNOWN_DEPTH = 0.1
 # So many of them show it better than what the boxes allow (choice).
 MIN_SURFACE = 20
+# Where what is found is found by chance: beside where it should be, in reaches (choice).
+BESIDE = ((6.0, 0.0), (0.0, 6.0), (-6.0, 0.0), (0.0, -6.0))
 # A feature this near to one that is known, pixels, is the same (choice).
 KNOWN_PLACE_PX = 1.5
 
@@ -153,6 +155,22 @@ class CameraPart:
         """Matches with earlier frames of what is where it should be at a pose (world_from_object), within some pixels."""
         pairs = [pair_near(number, self.frames[number], current, self.camera, pose, reach_px) for number in references]
         return [pair for pair in pairs if len(pair)]
+
+    def evidence(
+        self, current: CameraFrame, references: Sequence[int], pose: RigidTransform, reach_px: float
+    ) -> tuple[int, float]:
+        """How many features look like landmarks that should be there at a pose, within some pixels; and how many do where
+        these should not be, by chance."""
+
+        def count(dx: float, dy: float) -> int:
+            beside = dx * reach_px, dy * reach_px
+            pairs = [
+                pair_near(number, self.frames[number], current, self.camera, pose, reach_px, beside)
+                for number in references
+            ]
+            return len(np.unique(np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in pairs)])))
+
+        return count(0.0, 0.0), float(np.mean([count(*beside) for beside in BESIDE]))
 
     # --- learning: once a frame is accepted --------------------------------------------------------------------------
 

@@ -39,6 +39,7 @@ __all__ = [
     "features_of",
     "followed_from_anchor",
     "is_a_corner",
+    "is_fast",
     "is_the_same",
     "looked_for",
     "matched",
@@ -197,6 +198,13 @@ def followed_from_anchor(
     return followed, sum(report.found for report in reports), suffices(reports, joint.anchor, ahead)
 
 
+def is_fast(joint: Joint, ahead: RigidTransform) -> bool:
+    """Whether the next frame shows another side of the object than the last one (at world_from_object as predicted), or may
+    do so for all that is known."""
+    turn = (ahead.rotation * joint.base.world_from_object.rotation.inv()).magnitude()
+    return bool(not joint.velocity.frames or joint.missed > 0 or turn > FAST_TURN)
+
+
 def looked_for(
     team: Team,
     joint: Joint,
@@ -211,8 +219,7 @@ def looked_for(
         ahead: world_from_object as predicted.
     """
     # Where features are not seen for long, following is worth little, and every frame has to have enough of them.
-    turn = (ahead.rotation * joint.base.world_from_object.rotation.inv()).magnitude()
-    fast = not joint.velocity.frames or joint.missed > 0 or turn > FAST_TURN
+    fast = is_fast(joint, ahead)
     detected = team.detect(frames, regions, KLT_FEATURES if team.follows and not fast else MAX_FEATURES)
     if followed is None:
         return detected

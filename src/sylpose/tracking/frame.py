@@ -181,19 +181,26 @@ def match_pair(reference: int, earlier: CameraFrame, current: CameraFrame) -> Pa
 
 
 def pair_near(
-    reference: int, earlier: CameraFrame, current: CameraFrame, camera: Camera, pose: RigidTransform, reach_px: float
+    reference: int,
+    earlier: CameraFrame,
+    current: CameraFrame,
+    camera: Camera,
+    pose: RigidTransform,
+    reach_px: float,
+    beside_px: tuple[float, float] = (0.0, 0.0),
 ) -> Pair:
     """Matches of one camera between the earlier frame's landmarks and what is where they should be.
 
     Args:
         pose: world_from_object, of the current frame.
         reach_px: how far from there, pixels, besides what the landmarks' depth leaves open.
+        beside_px: looked for so far beside where they should be: what is found there is found by chance.
     """
     landmarks = earlier.landmarks
     away = DEPTH_REACH * landmarks.depth_error
     ends = np.stack([camera.project(pose.apply(landmarks.mean + s * away).reshape(-1, 3)) for s in (-1, 1)], axis=1)
     ends[earlier.background] = np.nan
-    indices = match_where_expected(earlier.features, current.features, ends, reach_px)
+    indices = match_where_expected(earlier.features, current.features, ends + np.array(beside_px), reach_px)
     return Pair.of(reference, earlier, current.features, indices[~current.background[indices[:, 1]]])
 
 

@@ -26,6 +26,7 @@ from sylpose.tracking.find import (
     features_of,
     followed_from_anchor,
     is_a_corner,
+    is_fast,
     is_the_same,
     looked_for,
     matched,
@@ -40,7 +41,7 @@ from sylpose.tracking.joint import Joint
 from sylpose.tracking.learn import accept_first, accepted, not_found, triangulated, with_surface
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.start import FirstMotion, first_motion, is_ambiguous
-from sylpose.tracking.thorough import searched
+from sylpose.tracking.thorough import is_doubtful, searched
 from sylpose.tracking.tracked_frame import TrackedFrame, unsolved_frame
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.motion import motion_about
@@ -96,8 +97,9 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
     if found is None:
         frame = team.frame(number, frames, looked_for(team, joint, frames, ahead, regions, followed))
         joint, found = _found(team, joint, frame, ahead, regions, followed)
-    if found is None:
-        joint, found = _found_thoroughly(team, joint, number, frames, ahead, regions)
+    if found is None or (is_fast(joint, ahead) and is_doubtful(team, joint, found)):
+        joint, better = _found_thoroughly(team, joint, number, frames, ahead, regions)
+        found = better if better is not None or found is None or not is_the_same(joint, found, ahead) else found
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
     return not_found(joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
@@ -113,7 +115,7 @@ def recover(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Jo
         regions = regions_of(team, joint, ahead, min(REGION_GROWTH * (1 + joint.missed), MAX_GROWTH))
         features = looked_for(team, joint, frames, ahead, regions, None)
         joint, near = _found(team, joint, team.frame(number, frames, features), ahead, regions)
-        if near is not None:
+        if near is not None and not is_doubtful(team, joint, near):
             pose = near.motion * joint.base.world_from_object
             joint, found = _confirmed(team, joint, number, frames, features, pose)
         if found is None:

@@ -7,27 +7,35 @@ It takes many times as long as the usual way (`find`), and is gone where that ha
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.landmarks.camera_terms import CUTOFF
-from sylpose.tracking.find import Found, Region, Team, on_the_move, regions_of, solved_from
+from sylpose.numerics.arrays import FloatArray
+from sylpose.tracking.find import Found, Region, Team, is_the_same, on_the_move, regions_of, solved_from
 from sylpose.tracking.frame import Frame, Pair
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import nearest_views, viewpoints
 from sylpose.tracking.learn import with_surface
 
-__all__ = ["searched"]
+__all__ = ["is_doubtful", "searched"]
 
 # Keyframes that each camera's image is matched with besides the last solved frame, at most, and from how far around the
 # object, radians (choice).
 KEYFRAMES, REACH = 8, np.radians(50.0)
 # How far from where a landmark should be it is looked for, as a share of the object's radius in the image: at a pose that is
 # predicted, and at one that was solved; pixels at least (choice).
-PREDICTED, SOLVED, LEAST_PX = 0.15, 0.03, 3.0
-# Noise by which poses are compared, pixels (choice).
-VOTE_PX = 0.5
+PREDICTED, SOLVED, LEAST_PX = (0.15, 0.07), 0.03, 3.0
+# Features that a wrong pose has more than by chance, since it was chosen by them: two for each of its six unknowns (choice).
+CHOSEN = 12.0
+# Noise by which poses are compared, pixels; and the noise that is worth nothing, as a share of the object's radius in the
+# image, where that is more (choice).
+VOTE_PX, VOTE = 0.5, 0.02
+# Of less than so many features, or less than this share of their worth, another pose may have as much: a body of the same
+# outline has about twenty (measured: tests/tracking/test_relocalise.py) (choice).
+ENOUGH, GOOD_SHARE = 20.0, 0.5
 
 
 def searched(
@@ -47,13 +55,38 @@ def searched(
         joint, seen = with_surface(team, joint, pairs)
         if seen is not None and not joint.velocity.frames:
             ahead, pairs = seen, on_the_move(team, joint, frame, pairs, seen)
-    found = solved_from(team, joint, frame, pairs, ahead, regions)
-    candidates = [narrowed(team, joint, frame, found, ahead, regions)]
+    candidates = [solved_from(team, joint, frame, pairs, ahead, regions)]
     if joint.velocity.frames or seen is not None:
-        near = found_near(team, joint, frame, ahead, ahead, regions, PREDICTED)
-        candidates.append(narrowed(team, joint, frame, near, ahead, regions))
-    best = max((c for c in candidates if c is not None), key=score, default=None)
-    return joint, best
+        # Where another side comes into view nothing is known for long, and what goes on as predicted may be believed.
+        young = replace(joint, last=replace(joint.base, age=1.0))
+        for share in PREDICTED:
+            found = found_near(team, young, frame, ahead, ahead, regions, share)
+            candidates.append(found if found is not None and is_the_same(joint, found, ahead) else None)
+    candidates = [narrowed(team, joint, frame, found, ahead, regions) for found in candidates]
+    good = [found for found in candidates if found is not None and not is_doubtful(team, joint, found)]
+    best = max(good, key=lambda found: score(team, joint, found), default=None)
+    return joint, best if best is not None and is_convincing(team, joint, best) else None
+
+
+def is_convincing(team: Team, joint: Joint, found: Found) -> bool:
+    """Whether more features are where a pose says than are there by chance."""
+    pose, frame = found.motion * joint.base.world_from_object, found.frame
+    references = references_within(team, joint, pose)
+    counts = team.crew.each(
+        lambda c: team.parts[c].evidence(
+            frame.cameras[c], references[c], pose, max(SOLVED * radius_px(team, joint, c, pose), LEAST_PX)
+        ),
+        long=True,
+    )
+    there, by_chance = np.array(team.crew.ask(lambda c: counts[c])).sum(axis=0)
+    return bool(there > CHOSEN + by_chance + 3.0 * np.sqrt(by_chance))
+
+
+def radius_px(team: Team, joint: Joint, c: int, pose: RigidTransform) -> float:
+    """The object's radius in a camera's image, pixels."""
+    camera = team.rig.cameras[c]
+    depth = max(float(camera.camera_from_world.apply(pose.translation)[2]), 1e-12)
+    return joint.object.radius / depth * camera.focal
 
 
 def enriched(team: Team, joint: Joint) -> None:
@@ -89,9 +122,7 @@ def found_near(
     references = references_within(team, joint, pose)
 
     def of(c: int) -> list[Pair]:
-        camera = team.rig.cameras[c]
-        depth = max(float(camera.camera_from_world.apply(pose.translation)[2]), 1e-12)
-        reach = max(share * joint.object.radius / depth * camera.focal, LEAST_PX)
+        reach = max(share * radius_px(team, joint, c, pose), LEAST_PX)
         return team.parts[c].match_near(frame.cameras[c], references[c], pose, reach)
 
     pairs = on_the_move(team, joint, frame, team.crew.each(of, long=True), ahead)
@@ -105,12 +136,25 @@ def narrowed(
     if found is None:
         return None
     pose = found.motion * joint.base.world_from_object
+    joint = replace(joint, last=replace(joint.base, age=1.0))
     return found_near(team, joint, frame, pose, ahead, regions, SOLVED)
 
 
-def score(found: Found) -> float:
-    """How many features agree with a pose, at a noise that is the same for all poses."""
-    worth = [
-        max(1.0 - (a.residual_px / (CUTOFF * VOTE_PX)) ** 2, 0.0) ** 2 if a.features else 0.0 for a in found.agreed
-    ]
-    return float(sum(w * a.features for w, a in zip(worth, found.agreed, strict=True)))
+def worth(team: Team, joint: Joint, found: Found) -> FloatArray:
+    """(C,) how much of a feature one that agrees with a pose is worth, by each camera's noise: from 1 to 0, at a noise that
+    is the same for all poses."""
+    pose = found.motion * joint.base.world_from_object
+    cutoff = [max(CUTOFF * VOTE_PX, VOTE * radius_px(team, joint, c, pose)) for c in range(len(team.rig))]
+    noise = np.nan_to_num(np.array([a.residual_px for a in found.agreed]), nan=np.inf)
+    return np.asarray(np.maximum(1.0 - (np.minimum(noise, 1e6) / cutoff) ** 2, 0.0) ** 2)
+
+
+def score(team: Team, joint: Joint, found: Found) -> float:
+    """How many features agree with a pose, by what they are worth."""
+    return float(worth(team, joint, found) @ np.array([a.features for a in found.agreed]))
+
+
+def is_doubtful(team: Team, joint: Joint, found: Found) -> bool:
+    """Whether so little agrees with a pose, or so badly, that another may be the true one."""
+    total = sum(a.features for a in found.agreed)
+    return score(team, joint, found) < max(ENOUGH, GOOD_SHARE * total)
