@@ -184,17 +184,21 @@ def match_where_expected(
     share = np.clip((away * along[row]).sum(axis=1) / np.maximum(length[row] ** 2, 1e-12), 0.0, 1.0)
     close = np.linalg.norm(away - share[:, None] * along[row], axis=1) <= reach_px
     row, column = row[close], column[close]
-    similar = np.full((len(rows), len(b)), -1.0, np.float32)
-    similar[row, column] = np.einsum("nd,nd->n", a.descriptors[rows[row]], b.descriptors[column])
-    forward = similar.argmax(axis=1)
-    best = similar[np.arange(len(rows)), forward]
-    mutual = (best == similar.max(axis=0)[forward]) & (best >= look)
+    if not len(row):
+        return np.empty((0, 2), np.int64)
+    similar = np.einsum("nd,nd->n", a.descriptors[rows[row]], b.descriptors[column])
+    best, others = np.full(len(rows), -1.0, np.float32), np.full(len(b), -1.0, np.float32)
+    np.maximum.at(best, row, similar)
+    np.maximum.at(others, column, similar)
+    chosen = np.full(len(rows), -1)
+    chosen[row[similar == best[row]]] = column[similar == best[row]]
     # What is at the same place is the same thing, with another orientation or scale.
-    elsewhere = np.linalg.norm(b.pixels[column] - b.pixels[forward[row]], axis=1) > SAME_PLACE_PX
+    elsewhere = np.linalg.norm(b.pixels[column] - b.pixels[chosen[row]], axis=1) > SAME_PLACE_PX
     second = np.full(len(rows), -1.0, np.float32)
-    np.maximum.at(second, row[elsewhere], similar[row[elsewhere], column[elsewhere]])
+    np.maximum.at(second, row[elsewhere], similar[elsewhere])
+    mutual = (chosen >= 0) & (best == others[chosen]) & (best >= look)
     kept = np.flatnonzero(mutual & (1.0 - best <= ratio**2 * (1.0 - second)))
-    return np.column_stack([rows[kept], forward[kept]])
+    return np.column_stack([rows[kept], chosen[kept]])
 
 
 def seen_before(features: Features, earlier: Features) -> BoolArray:

@@ -24,7 +24,7 @@ __all__ = ["is_doubtful", "searched"]
 
 # Keyframes that each camera's image is matched with besides the last solved frame, at most, and from how far around the
 # object, radians (choice).
-KEYFRAMES, REACH = 8, np.radians(50.0)
+KEYFRAMES, REACH = 4, np.radians(50.0)
 # How far from where a landmark should be it is looked for, as a share of the object's radius in the image: at a pose that is
 # predicted, and at one that was solved; pixels at least (choice).
 PREDICTED, SOLVED, LEAST_PX = (0.15, 0.07), 0.03, 3.0
