@@ -219,13 +219,14 @@ def looked_for(
         ahead: world_from_object as predicted.
     """
     # Where features are not seen for long, following is worth little, and every frame has to have enough of them.
-    fast = is_fast(joint, ahead)
-    detected = team.detect(frames, regions, KLT_FEATURES if team.follows and not fast else MAX_FEATURES)
+    most = (
+        (KLT_FEATURES, ANCHOR_FEATURES) if team.follows and not is_fast(joint, ahead) else (MAX_FEATURES, MAX_FEATURES)
+    )
+    detected = team.detect(frames, regions, most[0])
     if followed is None:
         return detected
-    most = MAX_FEATURES if fast else ANCHOR_FEATURES
     return team.crew.each(
-        lambda c: with_new(followed[c], detected[c], team.parts[c].known_background(detected[c]), most)
+        lambda c: with_new(followed[c], detected[c], team.parts[c].known_background(detected[c]), most[1])
     )
 
 
@@ -261,19 +262,13 @@ def matched(
 def on_the_move(
     team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequence[Pair]], ahead: RigidTransform
 ) -> list[list[Pair]]:
-    """By camera, each its own: the matches without those that are seen to be background by how the object goes on.
-
-    Args:
-        ahead: world_from_object as predicted.
-    """
-    known, radius = joint.known, joint.object.radius
+    """By camera, each its own: the matches without those that are seen to be background by how the object goes on: to be
+    at `ahead` (world_from_object)."""
+    poses, radius = {number: solved.world_from_object for number, solved in joint.known.items()}, joint.object.radius
 
     def of(c: int) -> list[Pair]:
-        current, camera = frame.cameras[c], team.rig.cameras[c]
-        kept = [
-            without_background(pair, current, camera, known[pair.reference].world_from_object, ahead, radius)
-            for pair in pairs[c]
-        ]
+        seen = frame.cameras[c], team.rig.cameras[c]
+        kept = [without_background(pair, *seen, poses[pair.reference], ahead, radius) for pair in pairs[c]]
         return [pair for pair in kept if len(pair)]
 
     return team.crew.each(of)
@@ -318,9 +313,8 @@ def solved_from(
             pairs = _with_first(crew, pairs, base.number, first)
     agreement = solution.agreement
     agreed = crew.ask(lambda c: _agreed(pairs[c], agreement[c], frame.cameras[c]))
-    if solution.status is not Status.NO_MOTION and _is_noise(team, joint, guess, agreed):
-        return None
-    return Found(frame, rig, pairs, solution, motion, agreed, regions, followed, anew, first)
+    noise = solution.status is not Status.NO_MOTION and _is_noise(team, joint, guess, agreed)
+    return None if noise else Found(frame, rig, pairs, solution, motion, agreed, regions, followed, anew, first)
 
 
 def _is_noise(team: Team, joint: Joint, pose: RigidTransform, agreed: Sequence[Agreed]) -> bool:

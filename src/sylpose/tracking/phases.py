@@ -115,7 +115,7 @@ def recover(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Jo
         regions = regions_of(team, joint, ahead, min(REGION_GROWTH * (1 + joint.missed), MAX_GROWTH))
         features = looked_for(team, joint, frames, ahead, regions, None)
         joint, near = _found(team, joint, team.frame(number, frames, features), ahead, regions)
-        if near is not None and not is_doubtful(team, joint, near):
+        if near is not None:
             pose = near.motion * joint.base.world_from_object
             joint, found = _confirmed(team, joint, number, frames, features, pose)
         if found is None:
@@ -163,10 +163,16 @@ def _found_thoroughly(
 
 
 def _found_anywhere(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joint, Found | None]:
-    """The frame's pose, wherever the object is in the images."""
-    features = team.detect(frames, None, MAX_FEATURES)
-    pose = recognised_anywhere(team, joint, team.frame(number, frames, features))
-    return (joint, None) if pose is None else _confirmed(team, joint, number, frames, features, pose)
+    """The frame's pose, wherever the object is in the images: by the strongest features, or by all."""
+    for faint in (False, True):
+        features = team.detect(frames, None, MAX_FEATURES, faint=faint)
+        pose = recognised_anywhere(team, joint, team.frame(number, frames, features))
+        if pose is not None:
+            joint, found = _confirmed(team, joint, number, frames, features, pose)
+            # Where it was seen, but not well enough, it is waited for.
+            if found is not None or joint.seen_again:
+                return joint, found
+    return joint, None
 
 
 def _confirmed(
@@ -176,7 +182,7 @@ def _confirmed(
     regions = regions_of(team, joint, pose)
     inside, _ = split(team, features, regions)
     joint, found = _found(team, joint, team.frame(number, frames, inside), pose, regions)
-    if found is None or not is_the_same(joint, found, pose):
+    if found is None or not is_the_same(joint, found, pose) or is_doubtful(team, joint, found):
         return joint, None
     if is_a_corner(joint, found):
         return replace(joint, seen_again=joint.seen_again + 1), None

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.landmarks.camera_terms import CUTOFF
 from sylpose.numerics.arrays import FloatArray
 from sylpose.tracking.find import Found, Region, Team, is_the_same, on_the_move, regions_of, solved_from
 from sylpose.tracking.frame import Frame, Pair
@@ -30,9 +29,10 @@ KEYFRAMES, REACH = 4, np.radians(50.0)
 PREDICTED, SOLVED, LEAST_PX = (0.15, 0.07), 0.03, 3.0
 # Features that a wrong pose has more than by chance, since it was chosen by them: two for each of its six unknowns (choice).
 CHOSEN = 12.0
-# Noise by which poses are compared, pixels; and the noise that is worth nothing, as a share of the object's radius in the
-# image, where that is more (choice).
-VOTE_PX, VOTE = 0.5, 0.02
+# Noise that makes what agrees with a pose worth nothing, as a share of the object's radius in the image, and pixels at
+# least. What is found near a wrong pose is spread evenly over the reach: six tenths of it from the middle (root mean
+# square) (derived).
+WORTHLESS, WORTHLESS_PX = 0.4 * SOLVED, 0.58 * LEAST_PX
 # Of less than so many features, or less than this share of their worth, another pose may have as much: a body of the same
 # outline has about twenty (measured: tests/tracking/test_relocalise.py) (choice).
 ENOUGH, GOOD_SHARE = 20.0, 0.5
@@ -144,7 +144,7 @@ def worth(team: Team, joint: Joint, found: Found) -> FloatArray:
     """(C,) how much of a feature one that agrees with a pose is worth, by each camera's noise: from 1 to 0, at a noise that
     is the same for all poses."""
     pose = found.motion * joint.base.world_from_object
-    cutoff = [max(CUTOFF * VOTE_PX, VOTE * radius_px(team, joint, c, pose)) for c in range(len(team.rig))]
+    cutoff = [max(WORTHLESS * radius_px(team, joint, c, pose), WORTHLESS_PX) for c in range(len(team.rig))]
     noise = np.nan_to_num(np.array([a.residual_px for a in found.agreed]), nan=np.inf)
     return np.asarray(np.maximum(1.0 - (np.minimum(noise, 1e6) / cutoff) ** 2, 0.0) ** 2)
 
