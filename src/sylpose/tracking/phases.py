@@ -111,7 +111,7 @@ def recover(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Jo
     ahead = joint.predicted(frames.time)
     regions: Sequence[Region] = [None] * len(team.rig)
     found = None
-    if not joint.lost:
+    if not joint.lost or not joint.velocity.frames:  # before its first motion it may be anywhere near
         regions = regions_of(team, joint, ahead, min(REGION_GROWTH * (1 + joint.missed), MAX_GROWTH))
         features = looked_for(team, joint, frames, ahead, regions, None)
         joint, near = _found(team, joint, team.frame(number, frames, features), ahead, regions)

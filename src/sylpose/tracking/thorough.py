@@ -27,15 +27,18 @@ KEYFRAMES, REACH = 4, np.radians(50.0)
 # How far from where a landmark should be it is looked for, as a share of the object's radius in the image: at a pose that is
 # predicted, and at one that was solved; pixels at least (choice).
 PREDICTED, SOLVED, LEAST_PX = (0.15, 0.07), 0.03, 3.0
+# References that show whether more is where a pose says than by chance (choice).
+ASKED = 2
 # Features that a wrong pose has more than by chance, since it was chosen by them: two for each of its six unknowns (choice).
 CHOSEN = 12.0
 # Noise that makes what agrees with a pose worth nothing, as a share of the object's radius in the image, and pixels at
 # least. What is found near a wrong pose is spread evenly over the reach: six tenths of it from the middle (root mean
 # square) (derived).
 WORTHLESS, WORTHLESS_PX = 0.4 * SOLVED, 0.58 * LEAST_PX
-# Of less than so many features, or less than this share of their worth, another pose may have as much: a body of the same
-# outline has about twenty (measured: tests/tracking/test_relocalise.py) (choice).
-ENOUGH, GOOD_SHARE = 20.0, 0.5
+# Of less than so many features another pose may have as much: a body of the same outline has about twenty (measured:
+# tests/tracking/test_relocalise.py). What a feature must be worth to count, and how many a camera needs for an opinion
+# (choice).
+ENOUGH, GOOD_SHARE, FEW = 20.0, 0.5, 15
 
 
 def searched(
@@ -74,7 +77,7 @@ def is_convincing(team: Team, joint: Joint, found: Found) -> bool:
     references = references_within(team, joint, pose)
     counts = team.crew.each(
         lambda c: team.parts[c].evidence(
-            frame.cameras[c], references[c], pose, max(SOLVED * radius_px(team, joint, c, pose), LEAST_PX)
+            frame.cameras[c], references[c][:ASKED], pose, max(SOLVED * radius_px(team, joint, c, pose), LEAST_PX)
         ),
         long=True,
     )
@@ -155,6 +158,9 @@ def score(team: Team, joint: Joint, found: Found) -> float:
 
 
 def is_doubtful(team: Team, joint: Joint, found: Found) -> bool:
-    """Whether so little agrees with a pose, or so badly, that another may be the true one."""
-    total = sum(a.features for a in found.agreed)
-    return score(team, joint, found) < max(ENOUGH, GOOD_SHARE * total)
+    """Whether so little agrees with a pose, or so badly, that another may be the true one. A camera in which much else is
+    seen does not count, if two others agree; nor one that sees next to nothing."""
+    features, share = np.array([a.features for a in found.agreed]), worth(team, joint, found)
+    good = share > GOOD_SHARE
+    sees = int(((features >= FEW) & good).sum()), int((features >= FEW).sum())
+    return bool((features * share)[good].sum() < ENOUGH or sees[0] < min(2, sees[1]))
