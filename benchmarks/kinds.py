@@ -7,8 +7,10 @@ A variation is tracked in this process from the images as rendered; errors are o
 pose, against the truth: degrees, and the displacement of the object's centre in its radii. A frame is *wrong and sure* when
 its status says that its pose was found, it is more than 3 degrees off (or a third of the radius) and the error is more than
 five standard deviations of its own covariance. NEES: normalised squared error of all six unknowns, 6 in the mean for a
-covariance that is right. Prints one line per kind, or per variation with --each, and the frames of each with --frames. The
-kinds are in `benchmarks/kinds_scenes.py`.
+covariance that is right. Frames *left* have no measured pose though they could have been solved
+(`benchmarks/kinds_solvable.py`); frames *off* have one that is more than 2 degrees off. Prints one line per kind, or per
+variation with --each, and the frames of each with --frames. The kinds are in `benchmarks/kinds_scenes.py` and
+`benchmarks/kinds_thorough.py`; those of the group "large" are not among "all", which is what runs without a name.
 """
 
 from __future__ import annotations
@@ -22,13 +24,21 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from benchmarks.kinds_scenes import GROUPS, KINDS, Take
+from benchmarks.kinds_scenes import GROUPS as SCENES
+from benchmarks.kinds_scenes import Kind, Take
+from benchmarks.kinds_solvable import unsolved_but_solvable
+from benchmarks.kinds_thorough import LARGE, THOROUGH
 from sylpose import FramePose, FrameStatus, track
 from sylpose.numerics.arrays import FloatArray
 from sylpose.smoothing.trajectory import Track, smooth
 
+GROUPS = {**SCENES, "thorough": THOROUGH, "large": LARGE}
+KINDS: dict[str, Kind] = {name: kind for group in GROUPS.values() for name, kind in group.items()}
+
 # What is wrong, and sure of it (the project's promise).
 WRONG_DEG, WRONG_RADII, SURE = 3.0, 1.0 / 3.0, 5.0
+# What is off.
+OFF_DEG = 2.0
 FOUND = (FrameStatus.TRACKED, FrameStatus.RELOCALISED)
 
 
@@ -42,7 +52,8 @@ class Result:
         statuses: how many frames have each.
         degrees, radii: median and largest error of the frames found, in degrees and in the object's radii; NaN without any.
         nees: mean over them; largest: the square root of the largest, of the turn alone and of the displacement alone.
-        sure: number of frames wrong and sure of it.
+        sure: number of frames wrong and sure of it; off: and of those found that are more than 2 degrees off; left: and of
+            those without a measured pose that could have been solved.
         length: displacement along the true one over the true one, in the frame where that is largest; NaN where it hardly
             moves.
         length_sds: by how many standard deviations that is off.
@@ -60,6 +71,8 @@ class Result:
     nees: float
     largest: tuple[float, float]
     sure: int
+    off: int
+    left: int
     length: float
     length_sds: float
 
@@ -72,7 +85,8 @@ def run(kind: str, seed: int, features: str, *, smoothed: bool = False) -> tuple
         without a pose.
     """
     take = KINDS[kind](np.random.default_rng([seed, *kind.encode()]))
-    tracked = list(track(take.frames(), take.scene.rig, take.boxes, features=features, seed=seed))
+    frames = list(take.frames())
+    tracked = list(track(frames, take.scene.rig, take.boxes, features=features, seed=seed))
     poses = [frame.pose for frame in tracked]
     if smoothed:
         poses = list(smooth([Track.of(frame) for frame in tracked], take.scene.rig).poses)
@@ -96,6 +110,8 @@ def run(kind: str, seed: int, features: str, *, smoothed: bool = False) -> tuple
         float(np.mean(nees[found])) if found.any() else np.nan,
         (float(worst[2]), float(worst[3])),
         int((wrong & found).sum()),
+        int((found & (errors[:, 0] > OFF_DEG)).sum()),
+        len(unsolved_but_solvable(take, poses, frames)),
         length,
         sds,
     )
@@ -151,8 +167,9 @@ def length_of(take: Take, poses: list[FramePose]) -> tuple[float, float]:
 
 
 HEADER = (
-    "| kind | features | runs | frames | found | wrong and sure | degrees: median, worst | radii: median, worst | "
-    "NEES: median, worst run | off by (sd): turn, place | length: least, most | by (sd) |\n" + "|---" * 12 + "|"
+    "| kind | features | runs | frames | found | left | off | wrong and sure | degrees: median, worst | "
+    "radii: median, worst | NEES: median, worst run | off by (sd): turn, place | "
+    "length: least, most | by (sd) |\n" + "|---" * 14 + "|"
 )
 
 
@@ -162,7 +179,9 @@ def line(results: list[Result]) -> str:
     name = one.kind if len(results) > 1 else f"{one.kind} {one.seed}"
     degrees, radii = (np.array([getattr(r, key) for r in results]) for key in ("degrees", "radii"))
     largest, nees = np.array([r.largest for r in results]), np.array([r.nees for r in results])
-    frames, found, sure = (sum(getattr(r, key) for r in results) for key in ("frames", "found", "sure"))
+    frames, found, sure, off, left = (
+        sum(getattr(r, key) for r in results) for key in ("frames", "found", "sure", "off", "left")
+    )
     bad = sum(r.sure > 0 for r in results)
     told = np.isfinite(lengths)
     sds = np.array([r.length_sds for r in results])[told]
@@ -172,6 +191,8 @@ def line(results: list[Result]) -> str:
         f"{len(results)}",
         f"{frames}",
         f"{100 * found / frames:.0f} %",
+        f"{left}",
+        f"{off}",
         f"{sure} in {bad}" if sure else "0",
         f"{_median(degrees[:, 0]):.2f}, {_most(degrees[:, 1]):.2f}",
         f"{_median(radii[:, 0]):.3f}, {_most(radii[:, 1]):.3f}",
@@ -211,7 +232,7 @@ def main() -> None:
     seeds = range(int(first), int(end or int(first) + 1))
     print(HEADER)
     everything = []
-    for name in names or list(KINDS):
+    for name in names or [name for name in KINDS if name not in LARGE]:
         for features in asked.features:
             results = []
             for seed in seeds:

@@ -1,5 +1,6 @@
 """The kinds of scenes of `benchmarks/kinds.py`: what moves, what stands still, who hides whom, which lens, how fast, how
-little texture. Each makes a variation of itself from a random generator.
+little texture. Each makes a variation of itself from a random generator. Those of the group "thorough" are in
+`benchmarks/kinds_thorough.py`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, Scene, TexturedBody, arc, chamfered_box, render_frames
 from sylpose.simulate.render import Path
 
-__all__ = ["GROUPS", "KINDS", "Take"]
+__all__ = ["GROUPS", "Kind", "Take", "any_body", "block", "boxes_of", "moving", "named", "rig_of", "texels"]
 
 SIZE = (480, 360)
 DISTANCE = 1.5
@@ -331,48 +332,15 @@ def slide_then_turn(rng: np.random.Generator) -> Take:
     return replace(plain, scene=scene)
 
 
-# --- thorough: what is hard to see ---------------------------------------------------------------------------------------
-
-
-def steps(rng: np.random.Generator, degrees: float, rig: Rig, body: TexturedBody, radius: float, frames: int) -> Scene:
-    """Turns by so much from frame to frame throughout."""
-    way = np.cumsum(rng.normal(0, 0.05 * radius, (frames, 3)), axis=0)
-    path = moving(rng, degrees * np.arange(float(frames)), way)
-    return Scene(rig, (Actor(body, path),), frames, int(rng.integers(1 << 30)))
-
-
-def jumps(rng: np.random.Generator, degrees: float) -> Take:
-    """Turns by so many degrees from frame to frame throughout, with boxes or without."""
-    rig, radius = rig_of(rng, share=0.55)
-    scene = steps(rng, degrees, rig, any_body(rng, rig, radius), radius, 24)
-    return Take(scene, boxes_of(scene, 1.05) if rng.random() < 0.5 else None, radius)
-
-
-def jumps_15(rng: np.random.Generator) -> Take:
-    """15 degrees from frame to frame."""
-    return jumps(rng, 15.0)
-
-
-def jumps_20(rng: np.random.Generator) -> Take:
-    """20 degrees from frame to frame."""
-    return jumps(rng, 20.0)
-
-
-def jumps_25(rng: np.random.Generator) -> Take:
-    """25 degrees from frame to frame."""
-    return jumps(rng, 25.0)
-
-
 Kind = Callable[[np.random.Generator], Take]
 
 
-def _named(kinds: Sequence[Kind]) -> dict[str, Kind]:
+def named(kinds: Sequence[Kind]) -> dict[str, Kind]:
+    """By their names, as commands have them."""
     return {kind.__name__.replace("_", "-"): kind for kind in kinds}
 
 
 GROUPS: dict[str, dict[str, Kind]] = {
-    "background": _named([stands_slow, stands_fast, creeps, person_behind, wide_boxes, exposure_drift, nudged]),
-    "slides": _named([slide_free, slide_boxed, slide_wide, slide_narrow, slide_wobbly, slide_then_turn]),
-    "thorough": _named([jumps_15, jumps_20, jumps_25]),
+    "background": named([stands_slow, stands_fast, creeps, person_behind, wide_boxes, exposure_drift, nudged]),
+    "slides": named([slide_free, slide_boxed, slide_wide, slide_narrow, slide_wobbly, slide_then_turn]),
 }
-KINDS: dict[str, Kind] = {name: kind for group in GROUPS.values() for name, kind in group.items()}

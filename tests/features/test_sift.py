@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from sylpose.features.sift import Features, detect, match_features, seen_before
+from sylpose.features.sift import Features, detect, match_features, match_where_expected, seen_before
 from sylpose.matches import Matches
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.rig import Camera
@@ -318,3 +318,40 @@ def test_matches_from_pixels_are_undistorted(camera: Camera) -> None:
 def test_bad_matches_are_refused(x: FloatArray, y: FloatArray, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Matches(x, y)
+
+
+def test_matches_where_they_are_expected_are_those_of_a_search_one_by_one() -> None:
+    rng = np.random.default_rng(3)
+    a = random_features(60, rng, 200.0)
+    looks = a.descriptors
+    order = rng.permutation(60)
+    blurred = looks[order] + 0.02 * rng.random((60, 128)).astype(np.float32)
+    blurred /= np.linalg.norm(blurred, axis=1, keepdims=True)
+    b = Features(a.pixels[order] + rng.uniform(-3, 3, (60, 2)), a.normalized, blurred)
+    ends = a.pixels[:, None] + np.array([[-8.0, 0.0], [8.0, 0.0]])
+    ends[5] = np.nan
+    reach, ratio, look = 4.0, 0.9, 0.5
+
+    def candidates(i: int) -> list[int]:
+        away = b.pixels - a.pixels[i]
+        outside = np.hypot(np.maximum(np.abs(away[:, 0]) - 8.0, 0.0), away[:, 1])
+        return np.flatnonzero(outside <= reach).tolist() if np.isfinite(ends[i]).all() else []
+
+    near = [candidates(i) for i in range(60)]
+    similar = a.descriptors @ b.descriptors.T
+    wanted = []
+    for i in range(60):
+        if not near[i]:
+            continue
+        j = max(near[i], key=lambda j: similar[i, j])
+        others = [similar[i, k] for k in near[i] if np.linalg.norm(b.pixels[k] - b.pixels[j]) > 3.0]
+        rivals = [similar[k, j] for k in range(60) if j in near[k]]
+        if similar[i, j] >= max([look, *rivals]) and 1 - similar[i, j] <= ratio**2 * (1 - max(others, default=-1.0)):
+            wanted.append((i, j))
+    found = match_where_expected(a, b, ends, reach, ratio, look)
+    assert [tuple(pair) for pair in found.tolist()] == wanted
+    assert len(wanted) > 40
+    assert sum(order[j] == i for i, j in wanted) > 40
+    # Where nothing is expected nothing is found, nor where there is nothing.
+    assert len(match_where_expected(a, b, ends + 1000.0, reach)) == 0
+    assert len(match_where_expected(a, Features.none(), ends, reach)) == 0

@@ -15,12 +15,24 @@ from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.rig import Camera
 
-__all__ = ["Features", "detect", "match_features", "seen_before"]
+__all__ = [
+    "ALL_FEATURES",
+    "MAX_FEATURES",
+    "Features",
+    "detect",
+    "match_features",
+    "match_where_expected",
+    "seen_before",
+]
 
 
 # A crop is padded by this: the object's region has a margin of its own, and SIFT's time is that of its area.
 CROP_MARGIN_PX = 8
 MAX_FEATURES = 1000
+# Where these are not enough, everything that can be found: so many, with so little contrast, and along edges too.
+ALL_FEATURES, FAINT_CONTRAST, FAINT_EDGE = 4000, 0.005, 20.0
+# Keypoints nearer to each other than this, pixels, are at the same place.
+SAME_PLACE_PX = 3.0
 # OpenCV's SIFT doubles the image first, and its keypoints are off by half of a pixel of that, right and down.
 # (Its enable_precise_upscale, which OpenCV has since 4.8, removes that too, but tracks less precisely.)
 SIFT_BIAS_PX = 0.25
@@ -72,6 +84,8 @@ def detect(
     camera: Camera,
     mask: BoolArray | None = None,
     max_features: int = MAX_FEATURES,
+    *,
+    faint: bool = False,
 ) -> Features:
     """SIFT keypoints with RootSIFT descriptors.
 
@@ -80,6 +94,7 @@ def detect(
         camera: whose lens is taken out.
         mask: (h, w) True where to look; only its bounding box is computed. None: everywhere.
         max_features: the strongest are kept.
+        faint: whether little contrast, or an edge, is enough.
 
     Source: Lowe 2004; RootSIFT, Arandjelovic & Zisserman, "Three things everyone should know", CVPR 2012.
     """
@@ -96,7 +111,10 @@ def detect(
     grey = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY) if crop.ndim == 3 else np.ascontiguousarray(crop)
     # A lower contrast threshold than Lowe's 0.04: on plain objects there is little else to go by, and what is not the
     # object's motion is rejected later.
-    sift = _cv2.SIFT_create(nfeatures=max_features, contrastThreshold=0.02)
+    limits = (
+        {"contrastThreshold": FAINT_CONTRAST, "edgeThreshold": FAINT_EDGE} if faint else {"contrastThreshold": 0.02}
+    )
+    sift = _cv2.SIFT_create(nfeatures=max_features, **limits)
     keypoints, descriptors = sift.detectAndCompute(grey, crop_mask)
     if descriptors is None or len(keypoints) == 0:
         return Features.none()
@@ -135,6 +153,52 @@ def match_features(a: Features, b: Features, ratio: float = 0.8, max_shift_px: f
     new = np.ones(len(order), bool)
     new[1:] = (places[order[1:]] != places[order[:-1]]).any(axis=1)
     return np.asarray(pairs[np.sort(order[new])])
+
+
+def match_where_expected(
+    a: Features, b: Features, ends: FloatArray, reach_px: float, ratio: float = 0.9, look: float = 0.7
+) -> IntArray:
+    """Mutual nearest neighbours among those that are where they should be. As few others are there, the ratio test may be
+    looser than that of `match_features`.
+
+    Args:
+        a, b: features of the same camera in two frames.
+        ends: (n, 2, 2) pixels: each feature of a should be in b's image along the line between its two ends; NaN: nowhere.
+        reach_px: so far from it at most.
+        ratio: largest ratio of the distances to the best and to the second best at another place.
+        look: least cosine of the descriptors.
+
+    Returns:
+        (m, 2) indices into a and b.
+    """
+    rows = np.flatnonzero(np.isfinite(ends).all(axis=(1, 2)))
+    if not len(rows) or not len(b):
+        return np.empty((0, 2), np.int64)
+    tree = cKDTree(b.pixels)
+    start, along = ends[rows, 0], ends[rows, 1] - ends[rows, 0]
+    length = np.linalg.norm(along, axis=1)
+    near = tree.query_ball_point(start + along / 2, length / 2 + reach_px)
+    counts = np.array([len(index) for index in near])
+    row, column = np.repeat(np.arange(len(rows)), counts), np.concatenate([*map(np.asarray, near)]).astype(np.int64)
+    away = b.pixels[column] - start[row]
+    share = np.clip((away * along[row]).sum(axis=1) / np.maximum(length[row] ** 2, 1e-12), 0.0, 1.0)
+    close = np.linalg.norm(away - share[:, None] * along[row], axis=1) <= reach_px
+    row, column = row[close], column[close]
+    if not len(row):
+        return np.empty((0, 2), np.int64)
+    similar = np.einsum("nd,nd->n", a.descriptors[rows[row]], b.descriptors[column])
+    best, others = np.full(len(rows), -1.0, np.float32), np.full(len(b), -1.0, np.float32)
+    np.maximum.at(best, row, similar)
+    np.maximum.at(others, column, similar)
+    chosen = np.full(len(rows), -1)
+    chosen[row[similar == best[row]]] = column[similar == best[row]]
+    # What is at the same place is the same thing, with another orientation or scale.
+    elsewhere = np.linalg.norm(b.pixels[column] - b.pixels[chosen[row]], axis=1) > SAME_PLACE_PX
+    second = np.full(len(rows), -1.0, np.float32)
+    np.maximum.at(second, row[elsewhere], similar[elsewhere])
+    mutual = (chosen >= 0) & (best == others[chosen]) & (best >= look)
+    kept = np.flatnonzero(mutual & (1.0 - best <= ratio**2 * (1.0 - second)))
+    return np.column_stack([rows[kept], chosen[kept]])
 
 
 def seen_before(features: Features, earlier: Features, still_px: float = STILL_PX) -> BoolArray:

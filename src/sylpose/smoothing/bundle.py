@@ -229,7 +229,7 @@ def bundle(
         problem, state = doubting(problem, fit.state, rig, doubt, held=not free)
         fit = replace(fit, state=state)
         for _ in range(RELINEARISED if free else 0):
-            fit = _minimise(problem, fit.state, max_rounds)
+            fit = _minimise(problem, fit.state, max_rounds, on_round)
             problem = relinearised(problem, sightings.image, rig, fit.state.z)
         summary = problem.summary(fit, tied)
     state, shared = fit.state, problem.shared

@@ -146,8 +146,8 @@ def lens_slopes(
 ) -> tuple[FloatArray, FloatArray]:
     """Normalised points (n, 2) of the rig's cameras (n,), and what `Sightings.lens` (n, 3, 4) is.
 
-    They are linearised at lenses that are already corrected, C times (4,): the points, plus by what they move times the lens,
-    are then what they are with that lens.
+    They are linearised at lenses that are already corrected, C times (4,): the points, plus by what they move times the
+    lens, are then what they are with that lens.
     """
     slopes, moved = np.zeros((len(image), 3, N_LENS)), image.copy()
     for c, camera in enumerate(rig):

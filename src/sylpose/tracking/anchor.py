@@ -192,16 +192,17 @@ def follow(
     return Followed(anchor, rows, features, anchor.tracks.pixels[rows], tracks, image)
 
 
-def with_new(followed: Followed, detected: Features, background: BoolArray) -> Features:
+def with_new(followed: Followed, detected: Features, background: BoolArray, most: int = FEATURES) -> Features:
     """The followed features, then some of the detected ones that are not near to any of them.
 
     Args:
         background: (n,), which of the detected ones are known to be background.
+        most: so many in all, but `MIN_NEW` detected ones at least.
     """
     a, b = followed.features, detected.subset(~background)
     if len(a) and len(b):
         b = b.subset(cKDTree(a.pixels).query(b.pixels)[0] > SAME_PX)
-    wanted = max(FEATURES - len(a), MIN_NEW)
+    wanted = max(most - len(a), MIN_NEW)
     if len(b) > wanted:
         b = b.subset(np.arange(wanted) * len(b) // wanted)
     return Features.concatenate([a, b])

@@ -10,9 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import Features, detect, seen_before
+from sylpose.features.sift import ALL_FEATURES, MAX_FEATURES, Features, detect, seen_before
 from sylpose.landmarks.places import Landmarks, learn_landmarks
 from sylpose.landmarks.table import LandmarkTable
 from sylpose.matches import STILL_PX
@@ -27,11 +28,15 @@ from sylpose.tracking.frame import (
     inliers_of,
     learn_background,
     match_pair,
+    pair_near,
     standing,
 )
 from sylpose.tracking.region import polygon_mask
 
-__all__ = ["CameraPart", "SeenAgain", "still_of"]
+__all__ = ["CameraPart", "SeenAgain", "View", "still_of"]
+
+# An image, and the mask (h, w) of the object in it.
+View = tuple[Image | None, BoolArray | None]
 
 # Landmarks whose depth is known to this share of the object's radius show where its surface is (choice).
 KNOWN_DEPTH = 0.1
@@ -47,6 +52,10 @@ STILL_SIGMAS, MOST_STILL_PX = 5.0, 6.0
 MOST_SURROUNDINGS = 8000
 # The noise is a mean over about so many frames (choice).
 NOISE_MEMORY = 5
+# Where what is found is found by chance: beside where it should be, in reaches (choice).
+BESIDE = ((6.0, 0.0), (0.0, 6.0), (-6.0, 0.0), (0.0, -6.0))
+# A feature this near to one that is known, pixels, is the same (choice).
+KNOWN_PLACE_PX = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +140,7 @@ class CameraPart:
         surroundings: the first frame's features outside the object's region, and what was found to be background since:
             what is later seen at the same place is background.
         noise_px: of its keypoints, as the frames so far have it.
+        view: image and mask of the last solved frame, until all is found in it that there is.
     """
 
     def __init__(self, index: int, camera: Camera) -> None:
@@ -140,6 +150,7 @@ class CameraPart:
         self.surroundings = Features.none()
         self.table = LandmarkTable()
         self.noise_px = 0.0
+        self.view: View = (None, None)
 
     @property
     def still_px(self) -> float:
@@ -148,13 +159,23 @@ class CameraPart:
 
     # --- seeing: nothing of it is remembered -------------------------------------------------------------------------
 
-    def detect(self, image: Image | None, mask: BoolArray | None, where: BoolArray | None, most: int) -> Features:
-        """The features of an image, inside an area (h, w; None: everywhere) and the object's mask; the `most` strongest."""
+    def detect(
+        self,
+        image: Image | None,
+        mask: BoolArray | None,
+        where: BoolArray | None,
+        most: int = MAX_FEATURES,
+        *,
+        faint: bool = False,
+    ) -> Features:
+        """The features of an image, inside an area (h, w; None: everywhere) and the object's mask; the `most` strongest, or
+        with `faint` all."""
         if image is None:
             return Features.none()
         if where is None:
             where = np.ones(self.camera.size[::-1], bool)
-        return detect(image, self.camera, where if mask is None else where & mask, most)
+        where = where if mask is None else where & mask
+        return detect(image, self.camera, where, ALL_FEATURES if faint else most, faint=faint)
 
     def inside(self, features: Features, region: FloatArray | None) -> BoolArray:
         """(n,) which features are inside a region's outline (k, 2)."""
@@ -190,6 +211,29 @@ class CameraPart:
         next one uses it."""
         pairs = [match_pair(number, self.frames[number], current) for number in references]
         return [pair for pair in pairs if len(pair)]
+
+    def match_near(
+        self, current: CameraFrame, references: Sequence[int], pose: RigidTransform, reach_px: float
+    ) -> list[Pair]:
+        """Matches with earlier frames of what is where it should be at a pose (world_from_object), within some pixels."""
+        pairs = [pair_near(number, self.frames[number], current, self.camera, pose, reach_px) for number in references]
+        return [pair for pair in pairs if len(pair)]
+
+    def evidence(
+        self, current: CameraFrame, references: Sequence[int], pose: RigidTransform, reach_px: float
+    ) -> tuple[int, float]:
+        """How many features look like landmarks that should be there at a pose, within some pixels; and how many do where
+        these should not be, by chance."""
+
+        def count(dx: float, dy: float) -> int:
+            beside = dx * reach_px, dy * reach_px
+            pairs = [
+                pair_near(number, self.frames[number], current, self.camera, pose, reach_px, beside)
+                for number in references
+            ]
+            return len(np.unique(np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in pairs)])))
+
+        return count(0.0, 0.0), float(np.mean([count(*beside) for beside in BESIDE]))
 
     # --- learning: once a frame is accepted --------------------------------------------------------------------------
 
@@ -251,14 +295,41 @@ class CameraPart:
         new = learn_landmarks(frame.features, seen_from, world_from_object, none.known, none.index, cloud, radius)
         return replace(new, id=frame.numbers)
 
-    def begin(self, number: int, first: CameraFrame, surroundings: Features) -> None:
-        """The first solved frame; the features around the object in it."""
-        self.frames, self.anchor = {number: first}, None
+    def begin(self, number: int, first: CameraFrame, surroundings: Features, view: View) -> None:
+        """The first solved frame, with its image; the features around the object in it."""
+        self.frames, self.anchor, self.view = {number: first}, None, view
         self.surroundings = surroundings
 
-    def keep(self, number: int, current: CameraFrame, numbers: set[int]) -> None:
-        """A solved frame; of those with other numbers than these nothing is kept."""
-        self.frames[number] = current
+    def enrich(
+        self, number: int, pose: RigidTransform, region: FloatArray | None, cloud: FloatArray, radius: float
+    ) -> None:
+        """All that can still be found in the image of the last solved frame becomes features of it, once.
+
+        Args:
+            pose: its world_from_object; region: (k, 2) the object's outline in it, None out of sight.
+            cloud: (n, 3) points on the object, object's frame, where too few landmarks tell where its surface is.
+        """
+        (image, mask), self.view = self.view, (None, None)
+        old = self.frames[number]
+        found = self.detect(image, mask, polygon_mask(region, self.camera.size), faint=True)
+        if len(found) and len(old.features):
+            found = found.subset(cKDTree(old.features.pixels).query(found.pixels)[0] > KNOWN_PLACE_PX)
+        if not len(found):
+            return
+        known, none = old.landmarks, SeenAgain.none()
+        surface = known.mean[known.depth_sd < KNOWN_DEPTH * radius]
+        cloud = surface if len(surface) >= MIN_SURFACE else cloud
+        new = learn_landmarks(found, self.camera, pose, none.known, none.index, cloud, radius)
+        self.frames[number] = CameraFrame(
+            Features.concatenate([old.features, found]),
+            np.concatenate([old.background, self.known_background(found)]),
+            self.table,
+            np.concatenate([old.numbers, self.table.learn(new)]),
+        )
+
+    def keep(self, number: int, current: CameraFrame, numbers: set[int], view: View) -> None:
+        """A solved frame, with its image; of those with other numbers than these nothing is kept."""
+        self.frames[number], self.view = current, view
         self.frames = {k: frame for k, frame in self.frames.items() if k in numbers}
         self.table.keep(np.concatenate([frame.numbers for frame in self.frames.values()]))
 
@@ -272,5 +343,6 @@ class CameraPart:
 
     def forget(self) -> None:
         """Everything: the object is looked for anew."""
-        self.frames, self.anchor, self.surroundings, self.noise_px = {}, None, Features.none(), 0.0
+        self.frames, self.anchor, self.surroundings, self.view = {}, None, Features.none(), (None, None)
+        self.noise_px = 0.0
         self.table = LandmarkTable()

@@ -19,10 +19,11 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import covariance_of
 from sylpose.results import Status
 from sylpose.rig import Rig
+from sylpose.tracking.anchor import FEATURES as ANCHOR_FEATURES
 from sylpose.tracking.anchor import Followed, suffices, with_new
 from sylpose.tracking.camera import CameraPart, SeenAgain
 from sylpose.tracking.crew import Crew
-from sylpose.tracking.frame import CameraFrame, Frame, Pair, inliers_of
+from sylpose.tracking.frame import CameraFrame, Frame, Pair, inliers_of, without_background
 from sylpose.tracking.frame_solvers import Agreement, Problem, Solution, Solver
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import references_of, viewpoints
@@ -38,9 +39,11 @@ __all__ = [
     "features_of",
     "followed_from_anchor",
     "is_a_corner",
+    "is_fast",
     "is_the_same",
     "looked_for",
     "matched",
+    "on_the_move",
     "recognised_anywhere",
     "regions_of",
     "solved_from",
@@ -54,12 +57,19 @@ Region = FloatArray | None
 REGION_GROWTH, MAX_GROWTH = 0.15, 1.0
 # Features per camera that are detected where features are followed (choice).
 KLT_FEATURES = 400
+# An object that turns by more than this from frame to frame, radians, shows another side in each (choice).
+FAST_TURN = np.radians(6.0)
 # With a turn less certain than this (radians), an object that was missed is not taken as found, for so many frames at
 # most (choice).
 AGAIN_SD, WAIT_FOR_MORE = 0.005, 2
 # A pose found again must be the one that relocalisation found: within this turn (radians) and share of the
 # radius (choice).
 AGAIN_TURN, AGAIN_SHIFT = 0.17, 0.3
+# After so many frames in a row it is known how the object moves (choice).
+KNOWN_SPEED = 1
+# Matches that are off by this share of the object's radius in the image (root mean square), and by so many pixels, agree
+# with anything (choice).
+NOISE, NOISE_PX = 0.03, 3.0
 # Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before
 # found (choice).
 SPEED_ROUNDS = 2
@@ -94,15 +104,22 @@ class Team:
         return np.random.default_rng(self.seed)
 
     def detect(
-        self, frames: FrameSet, regions: Sequence[Region] | None, most: int, *, around: bool = False
+        self,
+        frames: FrameSet,
+        regions: Sequence[Region] | None,
+        most: int = MAX_FEATURES,
+        *,
+        around: bool = False,
+        faint: bool = False,
     ) -> list[Features]:
-        """By camera, each its own: the features inside the object's regions, or around them; None: anywhere."""
+        """By camera, each its own: the features inside the object's regions, or around them; None: anywhere. With `faint`
+        all that there are."""
 
         def of(c: int) -> Features:
             where = None
             if regions is not None:
                 where = polygon_mask(regions[c], self.rig.cameras[c].size) ^ around
-            return self.parts[c].detect(frames.images[c], frames.masks[c], where, most)
+            return self.parts[c].detect(frames.images[c], frames.masks[c], where, most, faint=faint)
 
         return self.crew.each(of, long=True)
 
@@ -183,14 +200,36 @@ def followed_from_anchor(
     return followed, sum(report.found for report in reports), suffices(reports, joint.anchor, ahead)
 
 
+def is_fast(joint: Joint, ahead: RigidTransform) -> bool:
+    """Whether the next frame shows another side of the object than the last one (at world_from_object as predicted), or may
+    do so for all that is known."""
+    turn = (ahead.rotation * joint.base.world_from_object.rotation.inv()).magnitude()
+    return bool(not joint.velocity.frames or joint.missed > 0 or turn > FAST_TURN)
+
+
 def looked_for(
-    team: Team, frames: FrameSet, regions: Sequence[Region], followed: Sequence[Followed] | None
+    team: Team,
+    joint: Joint,
+    frames: FrameSet,
+    ahead: RigidTransform,
+    regions: Sequence[Region],
+    followed: Sequence[Followed] | None,
 ) -> list[Features]:
-    """By camera, each its own: the features in the object's regions, after those that were followed."""
-    detected = team.detect(frames, regions, KLT_FEATURES if team.follows else MAX_FEATURES)
+    """By camera, each its own: the features in the object's regions, after those that were followed.
+
+    Args:
+        ahead: world_from_object as predicted.
+    """
+    # Where features are not seen for long, following is worth little, and every frame has to have enough of them.
+    most = (
+        (KLT_FEATURES, ANCHOR_FEATURES) if team.follows and not is_fast(joint, ahead) else (MAX_FEATURES, MAX_FEATURES)
+    )
+    detected = team.detect(frames, regions, most[0])
     if followed is None:
         return detected
-    return team.crew.each(lambda c: with_new(followed[c], detected[c], team.parts[c].known_background(detected[c])))
+    return team.crew.each(
+        lambda c: with_new(followed[c], detected[c], team.parts[c].known_background(detected[c]), most[1])
+    )
 
 
 def matched(
@@ -218,7 +257,23 @@ def matched(
             pairs += team.parts[c].match(frame.cameras[c], [reference.number for reference in references])
         return pairs
 
-    return team.crew.each(of, long=anew)
+    pairs = team.crew.each(of, long=anew)
+    return on_the_move(team, joint, frame, pairs, guess) if joint.velocity.frames >= KNOWN_SPEED else pairs
+
+
+def on_the_move(
+    team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequence[Pair]], ahead: RigidTransform
+) -> list[list[Pair]]:
+    """By camera, each its own: the matches without those that are seen to be background by how the object goes on: to be
+    at `ahead` (world_from_object)."""
+    poses, radius = {number: solved.world_from_object for number, solved in joint.known.items()}, joint.object.radius
+
+    def of(c: int) -> list[Pair]:
+        seen = frame.cameras[c], team.rig.cameras[c]
+        kept = [without_background(pair, *seen, poses[pair.reference], ahead, radius) for pair in pairs[c]]
+        return [pair for pair in kept if len(pair)]
+
+    return team.crew.each(of)
 
 
 def solved_from(
@@ -260,7 +315,17 @@ def solved_from(
             pairs = _with_first(crew, pairs, base.number, first)
     agreement = solution.agreement
     agreed = crew.ask(lambda c: _agreed(pairs[c], agreement[c], frame.cameras[c]))
-    return Found(frame, rig, pairs, solution, motion, agreed, regions, followed, anew, first)
+    noise = solution.status is not Status.NO_MOTION and _is_noise(team, joint, guess, agreed)
+    return None if noise else Found(frame, rig, pairs, solution, motion, agreed, regions, followed, anew, first)
+
+
+def _is_noise(team: Team, joint: Joint, pose: RigidTransform, agreed: Sequence[Agreed]) -> bool:
+    """Whether what agrees with a pose (world_from_object) does so in no camera any better than anything else would."""
+    size = joint.object.radius * np.array([camera.focal for camera in team.rig])
+    depth = np.array([camera.camera_from_world.apply(pose.translation)[2] for camera in team.rig])
+    limit = np.maximum(NOISE * size / np.maximum(depth, 1e-12), NOISE_PX)
+    noise = np.array([a.residual_px for a in agreed])
+    return bool((np.isnan(noise) | (noise > limit)).all())
 
 
 def _first_relearnt(team: Team, joint: Joint, seen_from: Rig) -> list[Landmarks]:

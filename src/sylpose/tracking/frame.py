@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import Features, match_features
+from sylpose.features.sift import Features, match_features, match_where_expected
 from sylpose.landmarks.places import Landmarks
 from sylpose.landmarks.table import LandmarkTable
 from sylpose.matches import STILL_PX
@@ -25,13 +25,19 @@ __all__ = [
     "inliers_of",
     "learn_background",
     "match_pair",
-    "standing",
+    "pair_near",
     "still",
     "triangulate",
+    "without_background",
 ]
 
 # A feature that stands still where the object's surface moved by this much is background (choice).
 BACKGROUND_PX = 4.0
+# Faint features stand still less exactly: within this, pixels, if it is no more than this share of what a point on the
+# object moves (choice).
+FAINTLY_STILL_PX, STILL_SHARE = 4.0, 0.2
+# Standard deviations of its depth within which a landmark is looked for (choice).
+DEPTH_REACH = 2.0
 # Points are added to the object's cloud when their depth is known to this share of it (choice).
 DEPTH_SHARE = 0.1
 
@@ -177,6 +183,30 @@ def match_pair(reference: int, earlier: CameraFrame, current: CameraFrame) -> Pa
     return Pair.of(reference, earlier, b, indices[~known & ~current.background[indices[:, 1]]])
 
 
+def pair_near(
+    reference: int,
+    earlier: CameraFrame,
+    current: CameraFrame,
+    camera: Camera,
+    pose: RigidTransform,
+    reach_px: float,
+    beside_px: tuple[float, float] = (0.0, 0.0),
+) -> Pair:
+    """Matches of one camera between the earlier frame's landmarks and what is where they should be.
+
+    Args:
+        pose: world_from_object, of the current frame.
+        reach_px: how far from there, pixels, besides what the landmarks' depth leaves open.
+        beside_px: looked for so far beside where they should be: what is found there is found by chance.
+    """
+    landmarks = earlier.landmarks
+    away = DEPTH_REACH * landmarks.depth_error
+    ends = np.stack([camera.project(pose.apply(landmarks.mean + s * away).reshape(-1, 3)) for s in (-1, 1)], axis=1)
+    ends[earlier.background] = np.nan
+    indices = match_where_expected(earlier.features, current.features, ends + np.array(beside_px), reach_px)
+    return Pair.of(reference, earlier, current.features, indices[~current.background[indices[:, 1]]])
+
+
 def inliers_of(pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> list[Pair]:
     """The pairs' inliers, given one weight array per pair; pairs without any are left out."""
     kept = [pair.subset(w > 0) for pair, w in zip(pairs, weights, strict=True)]
@@ -202,7 +232,37 @@ def standing(
         before, now: world_from_object.
         radius: of the object.
     """
-    # Where each point would be now if it were on the object, at the depth of its centre.
+    moved = _moved_px(pair, camera, before, now, radius)
+    return still(pair, current.still_px) & (moved > BACKGROUND_PX - STILL_PX + current.still_px)
+
+
+def without_background(
+    pair: Pair, current: CameraFrame, camera: Camera, before: RigidTransform, ahead: RigidTransform, radius: float
+) -> Pair:
+    """The matches without those that stand still and were never seen to move, where a point on the object would have moved:
+    they are marked as `learn_background` marks them, before the pose is known.
+
+    Args:
+        ahead: world_from_object as predicted. An object that stops instead is still known by what was seen to move.
+    """
+    shift = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
+    background = (shift < FAINTLY_STILL_PX) & ~pair.landmarks.moved
+    if not background.any():
+        return pair
+    moved = _moved_px(pair, camera, before, ahead, radius)
+    background &= (moved > BACKGROUND_PX) & (shift < np.maximum(STILL_SHARE * moved, STILL_PX))
+    learn_background(pair, current, background)
+    return pair.subset(~background)
+
+
+def learn_background(pair: Pair, current: CameraFrame, background: BoolArray) -> None:
+    """Marks matches (n,) as background in both frames."""
+    pair.earlier.background[pair.indices[background, 0]] = True
+    current.background[pair.indices[background, 1]] = True
+
+
+def _moved_px(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTransform, radius: float) -> FloatArray:
+    """(n,) by how much each match would move at least if it were on the object, pixels, at any depth of it."""
     middle = camera.camera_from_world.apply(before.translation)[2]
     motion = now * before.inv()
     moved = np.full(len(pair), np.inf)
@@ -210,13 +270,7 @@ def standing(
         points = max(depth, 0.1 * middle) * np.column_stack([pair.normalized_i, np.ones(len(pair))])
         expected = camera.project(motion.apply(camera.camera_from_world.inv().apply(points)))
         moved = np.fmin(moved, np.linalg.norm(expected - pair.pixels_i, axis=1))
-    return still(pair, current.still_px) & (moved > BACKGROUND_PX - STILL_PX + current.still_px)
-
-
-def learn_background(pair: Pair, current: CameraFrame, background: BoolArray) -> None:
-    """Marks matches (n,) as background in both frames."""
-    pair.earlier.background[pair.indices[background, 0]] = True
-    current.background[pair.indices[background, 1]] = True
+    return moved
 
 
 def triangulate(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTransform) -> FloatArray:

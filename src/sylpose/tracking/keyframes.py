@@ -66,12 +66,14 @@ def references_of(
 
 
 def nearest_views(
-    keyframes: Sequence[SolvedFrame], camera: int, viewpoint: FloatArray, count: int
+    keyframes: Sequence[SolvedFrame], camera: int, viewpoint: FloatArray, count: int, reach: float = np.inf
 ) -> list[SolvedFrame]:
-    """The `count` keyframes in which a camera looked from nearest to a viewpoint (3,), nearest first."""
+    """The `count` keyframes in which a camera looked from nearest to a viewpoint (3,), within an angle; nearest first."""
+    if not keyframes:
+        return []
     angle = np.nan_to_num(_angles(viewpoint[None], _views(keyframes, camera))[0], nan=np.inf)
     order = np.argsort(angle, kind="stable")[:count]
-    return [keyframes[i] for i in order if np.isfinite(angle[i])]
+    return [keyframes[i] for i in order if np.isfinite(angle[i]) and angle[i] <= reach]
 
 
 def with_keyframe(keyframes: tuple[SolvedFrame, ...], current: SolvedFrame) -> tuple[SolvedFrame, ...]:

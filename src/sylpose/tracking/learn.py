@@ -64,7 +64,7 @@ def accept_first(
 
     def learn(c: int) -> None:
         part, current = parts[c], frame.cameras[c]
-        part.begin(frame.number, current, surroundings[c])
+        part.begin(frame.number, current, surroundings[c], (frames.images[c], frames.masks[c]))
         part.learn(current, part.camera, pose, SeenAgain.none(), model.points, model.radius, bulge)
 
     crew.each(learn)
@@ -139,7 +139,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
             judged = after.proven and not silent[c]
             weights = [w for w, _ in solution.agreement[c]]
             part.go_on(followed, found.pairs[c] if judged else [], weights if judged else [])
-        part.keep(frame.number, current, kept)
+        part.keep(frame.number, current, kept, (frames.images[c], frames.masks[c]))
         if begins:
             part.anchor_at(frame.number, frames.images[c], None if silent[c] else followed)
         before = None if followed is None else followed.before
@@ -195,23 +195,29 @@ def not_found(
     return joint, unsolved_frame(frames, FrameStatus.COASTING, regions, joint.object.radius, ahead, covariance)
 
 
-def with_surface(team: Team, joint: Joint, pairs: Sequence[Sequence[Pair]]) -> Joint:
+def with_surface(team: Team, joint: Joint, pairs: Sequence[Sequence[Pair]]) -> tuple[Joint, RigidTransform | None]:
     """What boxes allow is much deeper than the object. Epipolar geometry needs no depth: once it finds a motion since the
     first frame, that tells where the surface is, and the landmarks are learnt anew.
 
     Args:
         pairs: by camera, each its own: the matches of a frame that is not solved yet.
+
+    Returns:
+        the state; where the object is in that frame (world_from_object), if it was found. If more than boxes tells where
+        the surface is, this is all that is done.
     """
     crew, first = team.crew, joint.keyframes[0]
     found = first_motion(crew, team.rig, pairs, first.number, team.rng())
     enough = (Status.OK,) if len(team.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
     if observed(found.fit, joint.object.radius).status not in enough:
-        return joint
+        return joint, None
     before = first.world_from_object
     now = motion_about(found.center, found.fit.rotation, found.fit.shift) * before
+    if not joint.object.guessed:
+        return joint, now
     points = np.concatenate(crew.ask(lambda c: triangulated(team, c, found.inliers[c], before, now)))
     if len(points) < MIN_POINTS:
-        return joint
+        return joint, now
     joint = joint.relearnt(found.radius)
 
     def learn(c: int) -> None:
@@ -220,7 +226,7 @@ def with_surface(team: Team, joint: Joint, pairs: Sequence[Sequence[Pair]]) -> J
             part.table.learn(part.relearnt(solved.number, camera, solved.world_from_object, points, found.radius))
 
     crew.each(learn)
-    return joint
+    return joint, now
 
 
 def first_points(

@@ -26,9 +26,11 @@ from sylpose.tracking.find import (
     features_of,
     followed_from_anchor,
     is_a_corner,
+    is_fast,
     is_the_same,
     looked_for,
     matched,
+    on_the_move,
     recognised_anywhere,
     regions_of,
     solved_from,
@@ -39,6 +41,7 @@ from sylpose.tracking.joint import Joint
 from sylpose.tracking.learn import accept_first, accepted, first_points, not_found, with_surface
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.start import FirstMotion, first_motion, is_ambiguous, jitter_of
+from sylpose.tracking.thorough import is_doubtful, searched
 from sylpose.tracking.tracked_frame import TrackedFrame, unsolved_frame
 from sylpose.tracking.velocity import Velocity
 from sylpose.two_frames.fit import MIN_MATCHES
@@ -88,14 +91,18 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
     followed, found = None, None
     if joint.anchor is not None:
         followed, total, enough = followed_from_anchor(team, joint, frames, ahead, regions)
-        if enough:
+        # The first motion is not known yet: what is followed with ease may be what stands still.
+        if enough and joint.velocity.frames:
             frame = team.frame(number, frames, features_of(team, followed))
             joint, found = _found(team, joint, frame, ahead, regions, followed, anew=False)
             if found is not None and not found.matches > ANCHOR_SHARE * total:
                 found = None
     if found is None:
-        frame = team.frame(number, frames, looked_for(team, frames, regions, followed))
+        frame = team.frame(number, frames, looked_for(team, joint, frames, ahead, regions, followed))
         joint, found = _found(team, joint, frame, ahead, regions, followed)
+    if found is None or (is_fast(joint, ahead) and is_doubtful(team, joint, found)):
+        joint, better = _found_thoroughly(team, joint, number, frames, ahead, regions)
+        found = better if better is not None or found is None or not is_the_same(joint, found, ahead) else found
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
     return not_found(joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
@@ -107,13 +114,19 @@ def recover(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Jo
     ahead = joint.predicted(frames.time)
     regions: Sequence[Region] = [None] * len(team.rig)
     found = None
-    if not joint.lost:
+    if not joint.lost or not joint.velocity.frames:  # before its first motion it may be anywhere near
         regions = regions_of(team, joint, ahead, min(REGION_GROWTH * (1 + joint.missed), MAX_GROWTH))
-        features = looked_for(team, frames, regions, None)
+        features = looked_for(team, joint, frames, ahead, regions, None)
         joint, near = _found(team, joint, team.frame(number, frames, features), ahead, regions)
         if near is not None:
             pose = near.motion * joint.base.world_from_object
             joint, found = _confirmed(team, joint, number, frames, features, pose)
+        if found is None:
+            joint, near = _found_thoroughly(team, joint, number, frames, ahead, regions)
+            if near is not None:
+                pose = near.motion * joint.base.world_from_object
+                features = features_of(team, near.frame.cameras)
+                joint, found = _confirmed(team, joint, number, frames, features, pose)
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
     return not_found(joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
@@ -131,19 +144,41 @@ def _found(
 ) -> tuple[Joint, Found | None]:
     """The frame's pose, from a guess. While nothing but boxes tells where the object's surface is, its matches may."""
     pairs = matched(team, joint, frame, guess, followed, anew=anew)
-    if joint.object.guessed:
-        joint = with_surface(team, joint, pairs)
+    if joint.object.guessed or not joint.velocity.frames:
+        joint, seen = with_surface(team, joint, pairs)
+        if seen is not None and not joint.velocity.frames:
+            # The first motion: what does not take part in it is background, however much of the boxes it fills.
+            guess, pairs = seen, on_the_move(team, joint, frame, pairs, seen)
     found = solved_from(team, joint, frame, pairs, guess, regions, followed, anew=anew)
     if found is not None and joint.may_be_background(found.agreed):
         return replace(joint, only_still=True), None
     return joint, found
 
 
+def _found_thoroughly(
+    team: Team,
+    joint: Joint,
+    number: int,
+    frames: FrameSet,
+    ahead: RigidTransform,
+    regions: Sequence[Region],
+) -> tuple[Joint, Found | None]:
+    """The frame's pose, with everything that there is."""
+    frame = team.frame(number, frames, team.detect(frames, regions, faint=True))
+    return searched(team, joint, frame, ahead, regions)
+
+
 def _found_anywhere(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joint, Found | None]:
-    """The frame's pose, wherever the object is in the images."""
-    features = team.detect(frames, None, MAX_FEATURES)
-    pose = recognised_anywhere(team, joint, team.frame(number, frames, features))
-    return (joint, None) if pose is None else _confirmed(team, joint, number, frames, features, pose)
+    """The frame's pose, wherever the object is in the images: by the strongest features, or by all."""
+    for faint in (False, True):
+        features = team.detect(frames, None, MAX_FEATURES, faint=faint)
+        pose = recognised_anywhere(team, joint, team.frame(number, frames, features))
+        if pose is not None:
+            joint, found = _confirmed(team, joint, number, frames, features, pose)
+            # Where it was seen, but not well enough, it is waited for.
+            if found is not None or joint.seen_again:
+                return joint, found
+    return joint, None
 
 
 def _confirmed(
@@ -153,7 +188,7 @@ def _confirmed(
     regions = regions_of(team, joint, pose)
     inside, _ = split(team, features, regions)
     joint, found = _found(team, joint, team.frame(number, frames, inside), pose, regions)
-    if found is None or not is_the_same(joint, found, pose):
+    if found is None or not is_the_same(joint, found, pose) or is_doubtful(team, joint, found):
         return joint, None
     if is_a_corner(joint, found):
         return replace(joint, seen_again=joint.seen_again + 1), None

@@ -15,10 +15,12 @@ from sylpose.rig import Camera
 from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, away
 from sylpose.tracking.records import Ages, Chance
 
-__all__ = ["STILL_TRUST", "ages_of", "chance_of", "cut", "sights_of", "smear", "usual_age", "with_trust"]
+__all__ = ["STILL_TRUST", "ages_of", "chance_of", "cut", "sights_of", "smear", "support_of", "usual_age", "with_trust"]
 
 # Weight of a landmark that stands still and never moved, while others move (choice).
 STILL_TRUST = 0.05
+# Noise by which poses are compared, pixels: that of each of them is fitted, and more of it explains more (choice).
+VOTE_PX = 0.5
 # Landmarks with less trust are no evidence that a pose is right: such a one has a little less (derived).
 TRUSTED = 1.2 * STILL_TRUST
 
@@ -96,22 +98,31 @@ def chance_of(
     """How many of a camera's features agree with a pose, and how many random matches would.
 
     A random match agrees when it falls into the ellipse around its landmark's image in which it counts as an inlier: that
-    happens with the ellipse's share of the region that the camera's features fill. What is not trusted is no evidence.
+    happens with the ellipse's share of the region that the camera's features fill. What is not trusted is no evidence, for a
+    pose or against it.
     """
     matches = int((weights > 0).sum())
     if not len(sights.image):
         return Chance(matches, 0, 0, 0.0, 0)
-    good = (weights > 0) & (sights.trust > TRUSTED)
+    trusted = sights.trust > TRUSTED
+    good = (weights > 0) & trusted
     sigma = np.sqrt(np.mean(residuals[good] ** 2)) / sights.focal if good.any() else 1.0 / sights.focal
     along = smear(sights, rotation, shift)
     region = float(np.prod(np.ptp(current.features.normalized, axis=0)))
     share = np.minimum(np.pi * CUTOFF**2 * sigma * np.hypot(sigma, along) / max(region, 1e-12), 1.0)
     # A feature that is matched with several landmarks is tried once.
-    by_chance = float(np.bincount(sights.feature, share).sum() / max(np.bincount(sights.feature).max(), 1))
+    by_chance = float(share[trusted].sum() / max(np.bincount(sights.feature[trusted]).max(initial=0), 1))
     inliers, tried = (
-        int(np.count_nonzero(np.bincount(features))) for features in (sights.feature[good], sights.feature)
+        int(np.count_nonzero(np.bincount(features))) for features in (sights.feature[good], sights.feature[trusted])
     )
     return Chance(matches, inliers, tried, by_chance, 3)
+
+
+def support_of(sights: Sights, weights: FloatArray, residuals: FloatArray) -> float:
+    """How much of a camera's matches a pose explains, by trust, at a noise that is the same for all poses: comparable
+    between poses of the same sights, whatever noise each was fitted with."""
+    near = np.maximum(1.0 - (residuals / (CUTOFF * VOTE_PX)) ** 2, 0.0) ** 2
+    return float((sights.trust * np.where(weights > 0, near, 0.0)).sum())
 
 
 def smear(sights: Sights, rotation: FloatArray, shift: FloatArray) -> FloatArray:
