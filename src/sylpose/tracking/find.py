@@ -57,8 +57,9 @@ Region = FloatArray | None
 REGION_GROWTH, MAX_GROWTH = 0.15, 1.0
 # Features per camera that are detected where features are followed (choice).
 KLT_FEATURES = 400
-# An object that turns by more than this from frame to frame, radians, shows another side in each (choice).
-FAST_TURN = np.radians(6.0)
+# An object that turns by more than this from frame to frame, radians, shows another side in each (measured:
+# benchmarks/loops.py, where more features at 7.6 degrees a frame were no gain) (choice).
+FAST_TURN = np.radians(10.0)
 # With a turn less certain than this (radians), an object that was missed is not taken as found, for so many frames at
 # most (choice).
 AGAIN_SD, WAIT_FOR_MORE = 0.005, 2
