@@ -176,12 +176,13 @@ def track(
             show_default=False,
         ),
     ] = None,
+    refine_calibration: Annotated[
+        bool, typer.Option("--refine-calibration", help="Smooth; write calibration.refined.toml, too.")
+    ] = False,
     start: Annotated[int, typer.Option(metavar="N", help="The first frame to track.")] = 0,
     stop: Annotated[int | None, typer.Option(metavar="N", help="The frame to stop before; all by default.")] = None,
     every: Annotated[int, typer.Option(metavar="N", help="Track every n-th frame.")] = 1,
-    overlay: Annotated[
-        bool, typer.Option("--overlay/--no-overlay", help="Write overlay.mp4: poses and images.")
-    ] = True,
+    overlay: Annotated[bool, typer.Option("--overlay/--no-overlay", help="Write overlay.mp4.")] = True,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with an interrupted run; give the same options as then.")
     ] = False,
@@ -224,6 +225,7 @@ def track(
         features=features,
         offsets=find_offsets(opened, offsets),
         smooth=smooth,
+        refine_calibration=refine_calibration,
         start=start,
         stop=stop,
         every=every,

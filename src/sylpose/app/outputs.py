@@ -12,9 +12,11 @@ from pathlib import Path
 
 from sylpose.app.checkpoint import ExactPickler
 from sylpose.app.clock import Clock
+from sylpose.app.recalibrate import REFINED, changes, moved_cameras, write_refined
 from sylpose.report.files import TrajectoryWriter, WriterState, output_folder, read_trajectory, writing
 from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
+from sylpose.smoothing.calibration import usual_doubt
 from sylpose.smoothing.trajectory import Track, smooth
 from sylpose.tracking.tracked_frame import TrackedFrame
 
@@ -46,6 +48,7 @@ class ObjectOutput:
         rig: whose cameras and unit the files name.
         smooth: write the frames to tracked.tum and .csv, and keep what `finish` needs to make trajectory.tum and .csv of
             them: in a file, since it is much.
+        recalibrate: refine the calibration with it, and write it too.
         clock: counts the time of "plots" and "smoothing".
         resume: of an earlier run, to go on with its files.
 
@@ -54,10 +57,19 @@ class ObjectOutput:
     """
 
     def __init__(
-        self, folder: Path, rig: Rig, clock: Clock, *, smooth: bool = False, resume: OutputState | None = None
+        self,
+        folder: Path,
+        rig: Rig,
+        clock: Clock,
+        *,
+        smooth: bool = False,
+        recalibrate: bool = False,
+        resume: OutputState | None = None,
     ) -> None:
         self.folder, self._rig, self._clock = output_folder(folder), rig, clock
         self.poses: list[FramePose] = []
+        self.changes: list[str] = []
+        self._recalibrate = recalibrate
         self.report_path = self.folder / "report.png"
         self._writer = TrajectoryWriter(
             self.folder,
@@ -70,7 +82,7 @@ class ObjectOutput:
         tracked = [self.folder / f"{TRACKED}{suffix}" for suffix in SUFFIXES]
         earlier = [self.report_path]  # it would be taken for this run's
         if resume is None:
-            earlier += [*(result if smooth else tracked), self.folder / TRACKS]
+            earlier += [*(result if smooth else tracked), self.folder / REFINED, self.folder / TRACKS]
         for old in earlier:
             with writing(old):
                 old.unlink(missing_ok=True)
@@ -126,11 +138,18 @@ class ObjectOutput:
             with self._tracks_path.open("rb") as file:
                 while file.peek(1):
                     tracks.append(pickle.load(file))
-            result = smooth(tracks, self._rig, on_round=on_round)
+            moved = moved_cameras(self.trajectory) if self._recalibrate else {}
+            doubt = usual_doubt(self._rig)
+            result = smooth(
+                tracks, self._rig, doubt=doubt, recalibrate=self._recalibrate, moved=moved, on_round=on_round
+            )
             self.poses[:] = result.poses
             with TrajectoryWriter(self.folder, self._rig.names, self._rig.unit, stem=PARTIAL) as smoothed:
                 for pose in self.poses:
                     smoothed.write(pose)
+            if result.correction is not None:
+                self.files.append(write_refined(self.folder, result.correction, self._rig.names))
+                self.changes += changes(result.correction, self._rig)
             self._publish(smoothed)
         return None if result.status is Status.OK else f"Smoothing: {result.status.text}"
 

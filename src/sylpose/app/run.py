@@ -43,12 +43,15 @@ class Run:
         problems: sentences about what could not be read.
         seconds: where the time went: "reading", "tracking" (detection, matching, solving), "saving" (checkpoints),
             "overlay", "smoothing" and "plots".
+        changes: by object, what was found wrong with the calibration, a sentence for each camera; nothing unless that was
+            asked for.
     """
 
     trajectories: dict[str, Trajectory]
     files: tuple[Path, ...]
     problems: tuple[str, ...]
     seconds: dict[str, float]
+    changes: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def trajectory(self) -> Trajectory:
@@ -85,6 +88,7 @@ def track_session(
     every: int = 1,
     overlay: bool = True,
     smooth: bool | None = None,
+    refine_calibration: bool = False,
     seed: int = 0,
     resume: bool = False,
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
@@ -111,6 +115,7 @@ def track_session(
         overlay: False leaves `overlay.mp4` out.
         smooth: refine all poses together at the end (`sylpose.smoothing`); as tracked they are in `tracked.tum` and .csv.
             None: recordings of up to 10,000 frames, with the method "landmarks".
+        refine_calibration: smooth, and refine the calibration with the poses; it goes to `calibration.refined.toml`.
         resume: go on with the run in `out` that was interrupted. It must have had the same options.
         checkpoint_seconds: between two checkpoints; 0 for one after every frame. Live sessions have none.
         on_resume: called with the number of frames that the interrupted run has solved.
@@ -127,6 +132,7 @@ def track_session(
         OSError: naming the file or folder that cannot be written or read.
     """
     features_of(method, features)
+    smooth = True if refine_calibration else smooth
     offsets = find_offsets(session) if offsets is None else dict(offsets)
     if isinstance(session, Session):  # then they are in its time stamps
         session, late = retimed(session, [offsets.get(name, 0.0) for name in session.rig.names]), None
@@ -141,7 +147,7 @@ def track_session(
 
     smooth = _is_smoothed(smooth, session, method, len(range(start, _end(session, stop), max(every, 1))))
     asked = {"method": method, "features": features, "seed": seed, "start": start, "stop": stop, "every": every}
-    asked |= {"offsets": offsets or None, "smooth": smooth}
+    asked |= {"offsets": offsets or None, "smooth": smooth, "refine_calibration": refine_calibration or None}
     folder, clock = output_path(session, out), Clock()
     frames = session.frames(start, stop, every, said)
     saver = None
@@ -180,7 +186,7 @@ def track_session(
         outputs: dict[str, ObjectOutput] = {}
         for name, own in zip(session.objects, _folders(session, folder), strict=True):
             state = None if saved is None else saved["outputs"][name]
-            outputs[name] = ObjectOutput(own, rig, clock, smooth=smooth, resume=state)
+            outputs[name] = ObjectOutput(own, rig, clock, smooth=smooth, recalibrate=refine_calibration, resume=state)
             stack.callback(outputs[name].close)
         drawing = None
         overlay_path = folder / (f"overlay_{start + position * every}.mp4" if position else "overlay.mp4")
@@ -228,7 +234,8 @@ def track_session(
         output.forget()
     files = [file for output in outputs.values() for file in output.files] + ([overlay_path] if overlay else [])
     trajectories = {name: output.trajectory for name, output in outputs.items()}
-    return Run(trajectories, tuple(files), tuple(problems), clock.seconds)
+    changes = {name: tuple(output.changes) for name, output in outputs.items()}
+    return Run(trajectories, tuple(files), tuple(problems), clock.seconds, changes)
 
 
 def _end(session: Session | LiveSession, stop: int | None) -> int:

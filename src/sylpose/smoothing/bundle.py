@@ -22,7 +22,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.smoothing.calibration import Correction, Doubt, correction_of, doubting, relinearised
+from sylpose.smoothing.calibration import Correction, Doubt, correction_of, doubting, relinearised, rescaled
 from sylpose.smoothing.kernels import OFFSET, Sightings
 from sylpose.smoothing.length import noise_share
 from sylpose.smoothing.problem import Fit, Problem, State
@@ -95,7 +95,8 @@ class Bundled:
             long or too short by one factor: what a motion without turns leaves open. inf when nothing was displaced.
         length_share: in [0, 1], the share of it in the variance of all displacements.
         correction: of the calibration, if that was asked for.
-        doubt_share: by what share of the doubt the calibration seems to be off; 1 where it was refined or not doubted.
+        doubt_shares: (4,) 1, then by what share of the doubt the cameras' turns, their shifts and their lenses seem to be
+            off; 1 where nothing was doubted.
     """
 
     status: Status
@@ -113,7 +114,7 @@ class Bundled:
     length_sd: float
     length_share: float
     correction: Correction | None
-    doubt_share: float
+    doubt_shares: FloatArray
 
 
 def bundle(
@@ -228,10 +229,15 @@ def bundle(
         free = recalibrate and bool((tied & ~stays).any())
         problem, state = doubting(problem, fit.state, rig, doubt, held=not free)
         fit = replace(fit, state=state)
+        summary = problem.summary(fit, tied)
         for _ in range(RELINEARISED if free else 0):
             fit = _minimise(problem, fit.state, max_rounds, on_round)
-            problem = relinearised(problem, sightings.image, rig, fit.state.z)
-        summary = problem.summary(fit, tied)
+            summary = problem.summary(fit, tied)
+            problem, state = rescaled(problem, fit.state, summary.doubt_shares)
+            problem, fit = relinearised(problem, sightings.image, rig, state.z), replace(fit, state=state)
+        if free:
+            fit = _minimise(problem, fit.state, max_rounds, on_round)
+            summary = problem.summary(fit, tied)
     state, shared = fit.state, problem.shared
     correction = correction_of(shared, rig, state.z, summary.shared) if doubt is not None else None
 
@@ -261,7 +267,7 @@ def bundle(
         summary.length_sd,
         summary.length_share,
         correction if recalibrate else None,
-        summary.doubt_share,
+        summary.doubt_shares,
     )
 
 

@@ -6,7 +6,7 @@ off. A turn or a shift that all cameras share is no error: it is where the world
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +28,7 @@ __all__ = [
     "lens_slopes",
     "usual_doubt",
     "with_doubt",
+    "with_moved",
 ]
 
 
@@ -36,9 +37,11 @@ N_LENS = 4
 # What calibrations typically leave, one standard deviation: degrees, the share of the cameras' distance from each other,
 # the focal length's share, pixels, and of the radial coefficient (choice: after what Anipose's and Caliscope's users see).
 TURN_DEG, SHIFT_SHARE, FOCAL_SHARE, MIDDLE_PX, BEND = 0.5, 0.003, 0.01, 5.0, 0.02
-# A calibration that says its own reprojection error is believed in proportion to it: these are typical of one of so many
-# pixels; but no better than that by so much (choice).
+# A lens whose calibration says its own reprojection error is believed in proportion to it: these are typical of one of so
+# many pixels; but no better than that by so much. Of where cameras stand that error says nothing (choice).
 TYPICAL_PX, BEST_SHARE = 1.0, 0.2
+# A camera that was bumped into may be turned and shifted by so much, one standard deviation (choice).
+MOVED_DEG, MOVED_SHARE = 5.0, 0.03
 # Steps of differences by the lens, in the units of its unknowns, and by the normalised point (choice).
 STEPS, NEAR = np.array([1e-4, 1e-1, 1e-1, 1e-4]), 1e-4
 
@@ -79,12 +82,27 @@ class Correction:
 
 
 def usual_doubt(rig: Rig) -> Doubt:
-    """What calibrations typically leave; less where one says that it fits better than most."""
+    """What calibrations typically leave; of a lens less where its own calibration says that it fits better than most."""
     centers = np.array([camera.center for camera in rig])
     apart = np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean() or 1.0
     share = np.array([1.0 if c.error_px is None else np.clip(c.error_px / TYPICAL_PX, BEST_SHARE, 1.0) for c in rig])
     lens = np.array([FOCAL_SHARE, MIDDLE_PX, MIDDLE_PX, BEND])
-    return Doubt(np.deg2rad(TURN_DEG) * share, SHIFT_SHARE * apart * share, share[:, None] * lens, np.arange(len(rig)))
+    n = len(rig)
+    return Doubt(np.full(n, np.deg2rad(TURN_DEG)), np.full(n, SHIFT_SHARE * apart), share[:, None] * lens, np.arange(n))
+
+
+def with_moved(rig: Rig, doubt: Doubt, moved: Mapping[int, int]) -> tuple[Rig, Doubt]:
+    """With a camera more for each that was moved, camera -> frame: the same one, that stands nobody knows quite where."""
+    centers = np.array([camera.center for camera in rig])
+    apart = np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean() or 1.0
+    which = list(moved)
+    again = [replace(rig.cameras[c], name=f"{rig.cameras[c].name} from frame {frame}") for c, frame in moved.items()]
+    return Rig([*rig, *again], rig.unit), Doubt(
+        np.append(doubt.turn, np.full(len(which), np.deg2rad(MOVED_DEG))),
+        np.append(doubt.shift, np.full(len(which), MOVED_SHARE * apart)),
+        np.vstack([doubt.lens, doubt.lens[which]]),
+        np.append(doubt.body, doubt.body[which]),
+    )
 
 
 def with_doubt(shared: Shared, rig: Rig, doubt: Doubt, *, held: bool) -> Shared:
@@ -103,7 +121,10 @@ def with_doubt(shared: Shared, rig: Rig, doubt: Doubt, *, held: bool) -> Shared:
     mean[:, :TURN] = shared.mean[:, :TURN]
     spread[:, :TURN, : shared.spread.shape[2]] = shared.spread[:, :TURN]
     spread[:, :, shared.spread.shape[2] :] = own
-    return Shared(mean, spread, shared.n_offsets, k, np.concatenate([shared.held, np.full(k, held)]))
+    first = np.zeros(n, bool)
+    first[np.unique(doubt.body, return_index=True)[1]] = True
+    kind = np.concatenate([shared.kind, (first[:, None] * np.repeat([1, 2], 3)).ravel(), np.full(k - 6 * n, 3)])
+    return Shared(mean, spread, shared.n_offsets, kind, np.ones(4), np.concatenate([shared.held, np.full(k, held)]))
 
 
 def _not_common(rig: Rig, doubt: Doubt) -> FloatArray:
@@ -181,8 +202,15 @@ def _pixels_by_point(camera: Camera, x: FloatArray) -> FloatArray:
 def doubting(problem: Problem, state: State, rig: Rig, doubt: Doubt, *, held: bool) -> tuple[Problem, State]:
     """A problem in which the calibration is doubted as well, and a state of it: its calibration is the given one."""
     shared = with_doubt(problem.shared, rig, doubt, held=held)
-    z = np.concatenate([state.z, np.zeros(shared.n_doubted)])
+    z = np.concatenate([state.z, np.zeros(shared.spread.shape[2] - len(state.z))])
     return relinearised(replace(problem, shared=shared), problem.sightings.image, rig, z), replace(state, z=z)
+
+
+def rescaled(problem: Problem, state: State, shares: FloatArray) -> tuple[Problem, State]:
+    """The same state in a problem in which each kind (4,) is believed to be off by a share of what it was at first."""
+    more = (shares / problem.shared.shares)[problem.shared.kind]
+    shared = replace(problem.shared, spread=problem.shared.spread * more, shares=shares)
+    return replace(problem, shared=shared), replace(state, z=state.z / more)
 
 
 def relinearised(problem: Problem, image: FloatArray, rig: Rig, z: FloatArray) -> Problem:

@@ -16,7 +16,7 @@ from sylpose.smoothing.kernels import BEHIND_PX, DEPTH, OFFSET, SHIFT, TURN, Sig
 from sylpose.smoothing.rays import where_rays_meet
 from sylpose.smoothing.shared import Shared
 from sylpose.smoothing.spread import excess_variance
-from sylpose.smoothing.system import Solver, System, told_share
+from sylpose.smoothing.system import Solver, System, told_shares
 
 __all__ = ["SIDE_RADII", "Fit", "Problem", "State", "Summary"]
 
@@ -64,7 +64,7 @@ class Fit:
 @dataclass(frozen=True, eq=False)
 class Summary:
     """sigma (C,) pixels, distances (n,) pixels, covariance (N, 6, 6), shared (k, k) of z, excess (N,), and how well the
-    length of the path is known, `length_sd`, `length_share` and `doubt_share` as in `Bundled`."""
+    length of the path is known, `length_sd`, `length_share` and `doubt_shares` as in `Bundled`."""
 
     sigma: FloatArray
     distances: FloatArray
@@ -73,7 +73,7 @@ class Summary:
     excess: FloatArray
     length_sd: float
     length_share: float
-    doubt_share: float
+    doubt_shares: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,18 +217,18 @@ class Problem:
         views, moving = self.views(state), self.sightings.free >= 0
         scaled = fit.weights / sigma[self.sightings.camera] ** 2
         system = self.system(state, views, scaled)
-        solver, share = system.solver(), 1.0
+        solver = system.solver()
         own = solver.frames.inverse_blocks()
         # Groups that pull apart because the calibration is off are its uncertainty's, which is counted by itself.
-        every = solver.with_held(solver.held & ~self.shared.doubted)
+        every = solver.with_held(solver.held & (self.shared.kind == 0))
         rows = solver.gain.reshape(len(own), 6, -1)
         noise = own + rows @ every.shared_covariance(considered=False) @ rows.transpose(0, 2, 1)
         excess = np.ones(len(moving))
         excess[moving] = excess_variance(self.sightings, views, state.points, scaled, self.pull, system, every, noise)
         usual = float(np.median(excess[moving]))
-        if self.shared.n_doubted and self.shared.held[self.shared.doubted].all():
-            share = told_share(every, system, self.shared.doubted, usual)
-            solver = solver.scaled(np.where(self.shared.doubted, share, 1.0))
+        shares = told_shares(every, system, usual)
+        if self.shared.held[self.shared.kind > 0].any():
+            solver = solver.scaled(shares[self.shared.kind])
             rows = solver.gain.reshape(rows.shape)
         # Of what the observations tell, not of what is believed.
         told = np.linalg.inv(own) - self.prior[moving]
@@ -238,7 +238,7 @@ class Problem:
         covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
         shared = self._shared_covariance(solver, usual)
         length = self._length(state, solver, usual, covariance, tied)
-        return Summary(sigma, np.linalg.norm(e, axis=1), covariance, shared, excess, *length, share)
+        return Summary(sigma, np.linalg.norm(e, axis=1), covariance, shared, excess, *length, shares)
 
     def with_depths_held(self) -> Problem:
         """The same with surfaces that stay where they are believed to be."""

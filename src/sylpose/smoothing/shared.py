@@ -35,14 +35,17 @@ class Shared:
         mean: (C, K), columns as in `kernels`.
         spread: (C, K, k) the unknowns are mean + spread z, z standard normal.
         n_offsets: the first so many of z are time offsets, the next C the surfaces' depths.
-        n_doubted: the last so many of z are of the calibration.
+        kind: (k,) 1 for turns, 2 for shifts and 3 for lenses of the calibration, which are believed to be off alike within
+            each kind; 0 for all else, and for where cameras stand that were moved.
+        shares: (4,) by what share of what is believed at first each kind is off here.
         held: (k,) those of z that stay as they are: what is not known of them is only *considered*, in the covariance.
     """
 
     mean: FloatArray
     spread: FloatArray
     n_offsets: int
-    n_doubted: int
+    kind: IntArray
+    shares: FloatArray
     held: BoolArray
 
     def of(self, z: FloatArray) -> FloatArray:
@@ -54,12 +57,6 @@ class Shared:
         """(k,) which of z are the surfaces' depths."""
         k = np.arange(self.spread.shape[2]) - self.n_offsets
         return (k >= 0) & (k < len(self.mean))
-
-    @property
-    def doubted(self) -> BoolArray:
-        """(k,) which of z are of the calibration."""
-        k = self.spread.shape[2]
-        return np.asarray(np.arange(k) >= k - self.n_doubted)
 
     @property
     def flat(self) -> FloatArray:
@@ -96,4 +93,5 @@ def offsets_and_surfaces(
         raise ValueError("surfaces: the covariance is not positive definite") from None
     for j in (1, 2):
         spread[:, DEPTH + j, n + j * n_cameras : n + (j + 1) * n_cameras] = SLOPE_SD * np.eye(n_cameras)
-    return Shared(mean, spread, n, 0, np.zeros(spread.shape[2], bool))
+    k = spread.shape[2]
+    return Shared(mean, spread, n, np.zeros(k, np.int64), np.ones(4), np.zeros(k, bool))

@@ -14,7 +14,7 @@ from sylpose.numerics.compiled import kernel
 from sylpose.smoothing.elimination import Reduced, place_of
 from sylpose.smoothing.shared import Shared
 
-__all__ = ["Factor", "Solver", "System", "diagonal_of_inverse", "told_share"]
+__all__ = ["Factor", "Solver", "System", "diagonal_of_inverse", "told_shares"]
 
 
 # Systems of at most so many frames, or so full, are solved as dense ones (choice).
@@ -173,24 +173,29 @@ class System:
         return Factor(None, splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options))
 
 
-def told_share(solver: Solver, system: System, which: BoolArray, excess: float) -> float:
-    """By what share of the size believed of them some of z (k,), which are free, seem to be off.
+def told_shares(solver: Solver, system: System, excess: float) -> FloatArray:
+    """(4,) by what share of what is believed of it at first each kind of the calibration's errors is off; 1 for none.
 
-    Most likely, if they are all off alike: in the directions that the system tells of, each with a variance of its own,
+    Most likely, if they are all off alike: in the directions that the system tells of them, each with a variance of its own,
     which is so many times what the system says, beside share squared. Where little is told, about 1, as was believed.
     """
-    other = ~which & ~solver.held
-    slope = system.slope() - solver.border.T @ solver.frames.solve(system.reduced.gradient.reshape(-1, 1))[:, 0]
-    inner = solver.told[np.ix_(other, other)] + np.eye(int(other.sum()))
-    cross = np.linalg.solve(inner, solver.told[np.ix_(other, which)]).T
-    told = solver.told[np.ix_(which, which)] - cross @ solver.told[np.ix_(other, which)]
-    values, vectors = np.linalg.eigh(0.5 * (told + told.T))
-    values, off = np.maximum(values, 1e-12), vectors.T @ (slope[which] - cross @ slope[other])
+    kinds, out = system.shared.kind, np.ones(4)
+    slope = solver.told @ system.z - (system.slope() - system.z)
+    slope += solver.border.T @ solver.frames.solve(system.reduced.gradient.reshape(-1, 1))[:, 0]
     shares = np.geomspace(LEAST_SHARE, MOST_SHARE, 60)
-    variance = shares[:, None] ** 2 + excess / values
-    cost = (np.log(variance) + (off / values) ** 2 / variance).sum(axis=1)
-    cost += BELIEVED_FREEDOM * (2.0 * np.log(shares) + shares**-2.0)
-    return float(shares[np.argmin(cost)])
+    for kind in np.unique(kinds[kinds > 0]):
+        which = kinds == kind
+        other = ~which & ~solver.held
+        inner = solver.told[np.ix_(other, other)] + np.eye(int(other.sum()))
+        cross = np.linalg.solve(inner, solver.told[np.ix_(other, which)]).T
+        told = solver.told[np.ix_(which, which)] - cross @ solver.told[np.ix_(other, which)]
+        values, vectors = np.linalg.eigh(0.5 * (told + told.T))
+        values, off = np.maximum(values, 1e-12), vectors.T @ (slope[which] - cross @ slope[other])
+        variance = (shares[:, None] / system.shared.shares[kind]) ** 2 + excess / values
+        cost = (np.log(variance) + (off / values) ** 2 / variance).sum(axis=1)
+        cost += BELIEVED_FREEDOM * (2.0 * np.log(shares) + shares**-2.0)
+        out[kind] = shares[np.argmin(cost)]
+    return out
 
 
 @kernel

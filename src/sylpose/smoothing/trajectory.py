@@ -7,7 +7,7 @@ frames leave each depth open (docs/benchmarks.md, "Smoothing", has the figures).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import FramePose, Observable, Status
 from sylpose.rig import Rig
 from sylpose.smoothing.bundle import Bundled, Observations
-from sylpose.smoothing.calibration import Correction, Doubt
+from sylpose.smoothing.calibration import Correction, Doubt, with_moved
 from sylpose.smoothing.sized import bundle_sized, length_is_open
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
 
@@ -92,6 +92,7 @@ def smooth(
     offsets_sd: float | None = None,
     doubt: Doubt | None = None,
     recalibrate: bool = False,
+    moved: Mapping[int, int] | None = None,
     on_round: Callable[[int], None] | None = None,
 ) -> Smoothed:
     """Refines the poses of all frames together; the first one's stays.
@@ -102,7 +103,12 @@ def smooth(
         offsets_sd: seconds; if given, how far apart in time the cameras are is estimated too, within about this.
         doubt, recalibrate: what may be wrong with the calibration (`usual_doubt`), and whether to estimate it, as in
             `bundle`.
+        moved: which cameras stood elsewhere from which of the frames on; with `recalibrate` that is estimated too, and the
+            correction has a camera more for each, in this order.
         on_round: called with the number of each round of the refinement as it begins.
+
+    Raises:
+        ValueError: `recalibrate` or `moved` cameras without a doubt.
     """
     nothing = np.zeros(len(rig))
     used = [k for k, frame in enumerate(frames) if frame.pose.measured and len(frame.sightings)]
@@ -110,10 +116,17 @@ def smooth(
     if len(used) < 2:
         return Smoothed(tuple(poses), Status.TOO_FEW_MATCHES, nothing, nothing, np.full(len(rig), np.nan), 0)
     seen, places = _observations([frames[k] for k in used])
-    late = np.array([frames[k].late for k in used])
+    late, wider, camera = np.array([frames[k].late for k in used]), rig, seen.camera
+    if moved:
+        if doubt is None:
+            raise ValueError("moved: cameras that were moved need a doubt, of where they were at first")
+        wider, doubt = with_moved(rig, doubt, moved)
+        for i, (c, first) in enumerate(moved.items()):
+            camera = np.where((seen.camera == c) & (np.array(used)[seen.frame] >= first), len(rig) + i, camera)
+        late = np.hstack([late, late[:, list(moved)]])
     bundled = bundle_sized(
-        rig,
-        seen,
+        wider,
+        replace(seen, camera=camera),
         _stacked([frames[k].pose for k in used]),
         frames[used[-1]].radius,
         landmarks=places,
@@ -142,9 +155,9 @@ def smooth(
     return Smoothed(
         tuple(poses),
         bundled.status,
-        bundled.offsets,
-        bundled.offsets_sd,
-        bundled.sigma_px,
+        bundled.offsets[: len(rig)],
+        bundled.offsets_sd[: len(rig)],
+        bundled.sigma_px[: len(rig)],
         bundled.rounds,
         bundled.length_sd,
         bundled.length_share,

@@ -1,0 +1,41 @@
+"""What a calibration says of its own error is read where there is one, and kept in sylpose's own format."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from sylpose import calibration
+from sylpose.rig import Rig
+from sylpose.simulate import ring
+
+CAMERA = """
+[{table}]
+name = "a"
+size = [640, 480]
+matrix = [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]
+distortions = [0.0, 0.0, 0.0, 0.0, 0.0]
+rotation = [0.1, 0.2, 0.3]
+translation = [0.0, 0.0, 1.0]
+"""
+
+
+def test_read(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    path.write_text(CAMERA.format(table="cam_0") + "[metadata]\nadjusted = true\nerror = 0.41\n")
+    assert calibration.load(path).cameras[0].error_px == 0.41
+    path.write_text(CAMERA.format(table="cameras.0") + "error = 0.19\n")
+    assert calibration.load(path).cameras[0].error_px == 0.19
+    path.write_text(CAMERA.format(table="cam_0"))
+    assert calibration.load(path).cameras[0].error_px is None
+
+
+def test_kept(tmp_path: Path) -> None:
+    rig = ring(2)
+    said = Rig([replace(rig.cameras[0], error_px=0.25), rig.cameras[1]])
+    calibration.save(said, tmp_path / "c.toml")
+    assert [c.error_px for c in calibration.load(tmp_path / "c.toml")] == [0.25, None]
+    with pytest.raises(ValueError, match="error_px"):
+        replace(rig.cameras[0], error_px=-1.0)
