@@ -18,11 +18,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.slides import error, tracks
+from sylpose.adjustment.bundle import Bundled, Observations, bundle
+from sylpose.adjustment.calibration import corrected, usual_doubt
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import arc, box, ring
-from sylpose.smoothing.bundle import Bundled, Observations, bundle
-from sylpose.smoothing.calibration import corrected, usual_doubt
 
 LENS = (-0.11, 0.03, 0.0004, -0.0003, 0)
 RIGS = {

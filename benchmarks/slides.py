@@ -17,12 +17,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import FrameSet, track
+from sylpose.adjustment.bundle import Bundled, Observations, bundle
 from sylpose.frames import Box
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, Scene, arc, box, chamfered_box, demo_truth, ellipsoid, render_frames, ring
 from sylpose.simulate.bodies import Body
-from sylpose.smoothing.bundle import Bundled, Observations, bundle
 from sylpose.smoothing.trajectory import Track, smooth
 
 BODIES = {

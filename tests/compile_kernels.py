@@ -15,6 +15,7 @@ from multiprocessing import get_context
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.adjustment.bundle import Observations, bundle
 from sylpose.features import klt
 from sylpose.known_model.pose import estimate_pose
 from sylpose.landmarks.alignment import Sights, align
@@ -24,7 +25,6 @@ from sylpose.paper.centralized import solve_centralized
 from sylpose.paper.depth_plane import solve_depth_plane
 from sylpose.rig import Camera
 from sylpose.simulate import ring
-from sylpose.smoothing.bundle import Observations, bundle
 from sylpose.two_frames.solver import warm_up
 
 RIG = ring(3, height=(0.4, -0.1, 0.2))

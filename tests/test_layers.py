@@ -17,7 +17,7 @@ MAX_LINES = 400
 
 NOUNS = {"numerics", "rig", "frames", "matches", "moments", "results", "view", "methods"}
 PARTS = {"paper", "known_model", "features"}
-ESTIMATORS = PARTS | {"two_frames", "landmarks", "tracking", "smoothing"}
+ESTIMATORS = PARTS | {"two_frames", "landmarks", "adjustment", "tracking", "smoothing"}
 # By room (the files at the root are rooms of one): what it may import besides itself.
 ALLOWED: dict[str, set[str]] = {
     "numerics": set(),
@@ -25,8 +25,9 @@ ALLOWED: dict[str, set[str]] = {
     **dict.fromkeys(PARTS, NOUNS),
     "two_frames": NOUNS | {"paper"},
     "landmarks": NOUNS | {"features"},
-    "tracking": NOUNS | PARTS | {"two_frames", "landmarks"},
-    "smoothing": NOUNS | PARTS | {"two_frames", "landmarks", "tracking"},
+    "adjustment": NOUNS | {"features", "landmarks"},
+    "tracking": NOUNS | PARTS | {"two_frames", "landmarks", "adjustment"},
+    "smoothing": NOUNS | PARTS | {"two_frames", "landmarks", "adjustment", "tracking"},
     "calibration": NOUNS,
     "report": NOUNS,
     "simulate": NOUNS | {"calibration"},

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from sylpose import calibration
+from sylpose.adjustment.calibration import Correction
 from sylpose.app.recalibrate import REFINED, changes
 from sylpose.cli import main
 from sylpose.simulate import render_sequence, ring
-from sylpose.smoothing.calibration import Correction
 
 
 def test_as_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

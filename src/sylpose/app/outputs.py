@@ -10,13 +10,13 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from sylpose.adjustment.calibration import usual_doubt
 from sylpose.app.checkpoint import ExactPickler
 from sylpose.app.clock import Clock
 from sylpose.app.recalibrate import REFINED, changes, moved_cameras, write_refined
 from sylpose.report.files import TrajectoryWriter, WriterState, output_folder, read_trajectory, writing
 from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
-from sylpose.smoothing.calibration import usual_doubt
 from sylpose.smoothing.trajectory import Track, smooth
 from sylpose.tracking.tracked_frame import TrackedFrame
 

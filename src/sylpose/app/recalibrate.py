@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from sylpose.adjustment.calibration import Correction
 from sylpose.calibration import save
 from sylpose.report.disagreement import disagreements
 from sylpose.report.files import writing
 from sylpose.results import Trajectory
 from sylpose.rig import Camera, Rig
-from sylpose.smoothing.calibration import Correction
 
 __all__ = ["REFINED", "changes", "moved_cameras", "write_refined"]
 

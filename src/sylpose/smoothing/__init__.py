@@ -1,1 +1,1 @@
-"""All frames at once, afterwards: a tracked trajectory's poses and landmarks refined together (`trajectory`, `bundle`)."""
+"""All frames at once, afterwards: a tracked trajectory's poses and landmarks refined together (`trajectory`)."""

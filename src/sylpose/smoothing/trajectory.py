@@ -14,12 +14,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation, RotationSpline
 
+from sylpose.adjustment.bundle import Bundled, Observations
+from sylpose.adjustment.calibration import Correction, Doubt, with_moved
+from sylpose.adjustment.sized import bundle_sized, length_is_open
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import FramePose, Observable, Status
 from sylpose.rig import Rig
-from sylpose.smoothing.bundle import Bundled, Observations
-from sylpose.smoothing.calibration import Correction, Doubt, with_moved
-from sylpose.smoothing.sized import bundle_sized, length_is_open
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
 
 __all__ = ["Smoothed", "Track", "smooth"]

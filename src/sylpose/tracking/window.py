@@ -1,8 +1,8 @@
 """The window: the most telling solved frames, refined together while tracking goes on.
 
 A frame's pose is found against earlier ones, whose errors it takes over. Every now and then the keyframes and the last
-frames are refined jointly (`smoothing.bundle`), with the landmarks that several of them see: what they got wrong at first, a
-length that only a later turn tells, and the drift up to a side that is seen again, go out of all of them. What is later
+frames are refined jointly (`adjustment.bundle`), with the landmarks that several of them see: what they got wrong at first,
+a length that only a later turn tells, and the drift up to a side that is seen again, go out of all of them. What is later
 found against them is as good.
 """
 
@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.adjustment.bundle import Bundled, Observations
+from sylpose.adjustment.sized import bundle_sized, length_is_open
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.results import Status
-from sylpose.smoothing.bundle import Bundled, Observations
-from sylpose.smoothing.sized import bundle_sized, length_is_open
 from sylpose.tracking.find import Team
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.joint import Joint

@@ -12,16 +12,16 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
-import sylpose.smoothing.bundle as bundle_module
-import sylpose.smoothing.system as bundle_system
+import sylpose.adjustment.bundle as bundle_module
+import sylpose.adjustment.system as bundle_system
+from sylpose.adjustment.bundle import Bundled, Observations, bundle
+from sylpose.adjustment.kernels import Sightings, Views, derivatives, residuals
+from sylpose.adjustment.problem import DEPTH_RADII, SIDE_RADII, Problem, _log_slope
+from sylpose.adjustment.shared import SLOPE_SD, usual_surfaces
 from sylpose.numerics.arrays import FloatArray
 from sylpose.results import Status
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import ellipsoid, ring
-from sylpose.smoothing.bundle import Bundled, Observations, bundle
-from sylpose.smoothing.kernels import Sightings, Views, derivatives, residuals
-from sylpose.smoothing.problem import DEPTH_RADII, SIDE_RADII, Problem, _log_slope
-from sylpose.smoothing.shared import SLOPE_SD, usual_surfaces
 
 RADIUS = 0.15
 RIG = ring(4, 1.5, 1000.0, height=(0.4, -0.1, 0.2, 0.5))

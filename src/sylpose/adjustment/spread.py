@@ -15,10 +15,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import median_filter
 
+from sylpose.adjustment.kernels import Sightings, Views
+from sylpose.adjustment.scores import scores
+from sylpose.adjustment.system import Solver, System
 from sylpose.numerics.arrays import FloatArray
-from sylpose.smoothing.kernels import Sightings, Views
-from sylpose.smoothing.scores import scores
-from sylpose.smoothing.system import Solver, System
 
 __all__ = ["excess_variance"]
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.adjustment.kernels import LENS, SHIFT, TURN
+from sylpose.adjustment.problem import Problem, State
+from sylpose.adjustment.shared import Shared
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.rig import Camera, Rig
-from sylpose.smoothing.kernels import LENS, SHIFT, TURN
-from sylpose.smoothing.problem import Problem, State
-from sylpose.smoothing.shared import Shared
 
 __all__ = [
     "N_LENS",

@@ -9,10 +9,10 @@ from scipy import linalg
 from scipy.sparse import bsr_array, diags_array, tril
 from scipy.sparse.linalg import SuperLU, splu
 
+from sylpose.adjustment.elimination import Reduced, place_of
+from sylpose.adjustment.shared import Shared
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.compiled import kernel
-from sylpose.smoothing.elimination import Reduced, place_of
-from sylpose.smoothing.shared import Shared
 
 __all__ = ["Factor", "Solver", "System", "diagonal_of_inverse", "told_shares"]
 

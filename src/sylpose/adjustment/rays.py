@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from sylpose.adjustment.kernels import Sightings, Views
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.compiled import cholesky_solve, kernel
-from sylpose.smoothing.kernels import Sightings, Views
 
 __all__ = ["where_rays_meet"]
 

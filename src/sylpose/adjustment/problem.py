@@ -8,15 +8,15 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
+from sylpose.adjustment.elimination import Reduced, reduce, substitute
+from sylpose.adjustment.kernels import BEHIND_PX, DEPTH, OFFSET, SHIFT, TURN, Sightings, Views, residuals
+from sylpose.adjustment.rays import where_rays_meet
+from sylpose.adjustment.shared import Shared
+from sylpose.adjustment.spread import excess_variance
+from sylpose.adjustment.system import Solver, System, told_shares
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.robust import biquartic_losses, biquartic_on_noise, biquartic_weights, robust_sigma
 from sylpose.results import Status
-from sylpose.smoothing.elimination import Reduced, reduce, substitute
-from sylpose.smoothing.kernels import BEHIND_PX, DEPTH, OFFSET, SHIFT, TURN, Sightings, Views, residuals
-from sylpose.smoothing.rays import where_rays_meet
-from sylpose.smoothing.shared import Shared
-from sylpose.smoothing.spread import excess_variance
-from sylpose.smoothing.system import Solver, System, told_shares
 
 __all__ = ["SIDE_RADII", "Fit", "Problem", "State", "Summary"]
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sylpose.adjustment.kernels import DEPTH, Sightings, Views, above_surface, eliminated, longest_track
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.compiled import kernel
-from sylpose.smoothing.kernels import DEPTH, Sightings, Views, above_surface, eliminated, longest_track
 
 __all__ = ["Reduced", "place_of", "reduce", "substitute"]
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sylpose.adjustment.kernels import DEPTH
+from sylpose.adjustment.problem import SIDE_RADII, Fit, Problem, State, Summary
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.smoothing.kernels import DEPTH
-from sylpose.smoothing.problem import SIDE_RADII, Fit, Problem, State, Summary
 
 __all__ = ["noise_share"]
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import helmert
 
+from sylpose.adjustment.kernels import DEPTH, OFFSET, TURN
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
-from sylpose.smoothing.kernels import DEPTH, OFFSET, TURN
 
 __all__ = ["SLOPE_SD", "Shared", "offsets_and_surfaces", "usual_surfaces"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from sylpose.adjustment.kernels import Sightings, Views, eliminated, longest_track
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.compiled import kernel
-from sylpose.smoothing.kernels import Sightings, Views, eliminated, longest_track
 
 __all__ = ["scores"]
 

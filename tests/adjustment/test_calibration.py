@@ -10,13 +10,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.calibration import common, disturbed, path, pose_errors, seen_as
 from benchmarks.slides import tracks
+from sylpose.adjustment.bundle import Bundled, Observations, bundle
+from sylpose.adjustment.calibration import corrected, lens_slopes, usual_doubt, with_doubt, with_moved
+from sylpose.adjustment.shared import offsets_and_surfaces, usual_surfaces
 from sylpose.numerics.arrays import FloatArray
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import box, ring
-from sylpose.smoothing.bundle import Bundled, Observations, bundle
-from sylpose.smoothing.calibration import corrected, lens_slopes, usual_doubt, with_doubt, with_moved
-from sylpose.smoothing.shared import offsets_and_surfaces, usual_surfaces
 
 LENS = (-0.2, 0.05, 0.0004, -0.0003, 0)
 RIG = ring(4, 1.5, 1000.0, height=(0.4, -0.1, 0.2, 0.5), distortion=LENS)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.adjustment.bundle import Bundled, Observations, bundle
 from sylpose.landmarks.shape import extent_of, size_of
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
-from sylpose.smoothing.bundle import Bundled, Observations, bundle
 
 __all__ = ["bundle_sized", "length_is_open"]
 

@@ -19,14 +19,14 @@ from scipy.sparse import block_array, coo_array, csr_array, eye_array, tril
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.adjustment.calibration import Correction, Doubt, correction_of, doubting, relinearised, rescaled
+from sylpose.adjustment.kernels import OFFSET, Sightings
+from sylpose.adjustment.length import noise_share
+from sylpose.adjustment.problem import Fit, Problem, State
+from sylpose.adjustment.shared import offsets_and_surfaces, usual_surfaces
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.smoothing.calibration import Correction, Doubt, correction_of, doubting, relinearised, rescaled
-from sylpose.smoothing.kernels import OFFSET, Sightings
-from sylpose.smoothing.length import noise_share
-from sylpose.smoothing.problem import Fit, Problem, State
-from sylpose.smoothing.shared import offsets_and_surfaces, usual_surfaces
 
 __all__ = ["Bundled", "Observations", "bundle"]
 
