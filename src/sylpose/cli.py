@@ -169,12 +169,7 @@ def track(
         ),
     ] = FEATURES[0],
     smooth: Annotated[
-        bool | None,
-        typer.Option(
-            "--smooth/--no-smooth",
-            help="Refine all poses together at the end: of recordings, by the method landmarks, if not said otherwise.",
-            show_default=False,
-        ),
+        bool | None, typer.Option("--smooth/--no-smooth", help="Refine all poses together at the end: recordings are.")
     ] = None,
     refine_calibration: Annotated[
         bool, typer.Option("--refine-calibration", help="Smooth; write calibration.refined.toml, too.")
@@ -303,9 +298,7 @@ def sync(
 )
 @spoken
 def demo(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the recording and the results go.")] = Path(
-        "sylpose_demo"
-    ),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where recording and results go.")] = Path("sylpose_demo"),
     frames: Annotated[int, typer.Option(metavar="N", help="How many, at 30 per second.")] = 60,
     turn: Annotated[float, typer.Option(metavar="DEG", help="By how much the object turns in all.")] = 90.0,
     cameras: Annotated[int, typer.Option(metavar="N", help="How many.")] = 4,
