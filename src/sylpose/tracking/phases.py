@@ -53,6 +53,8 @@ PATIENCE = 10
 # What moves by this much in the middle, pixels, is told from what does not; a smaller motion has to wait for a larger
 # one (choice).
 FIRST_PX = 8.0
+# A first motion of which little is seen is believed up to this turn, radians (choice).
+FIRST_TURN = np.radians(3.0)
 AMBIGUOUS = (
     "Without boxes, what moves most is tracked; something else moved nearly as much. Boxes or masks of the object would "
     "tell which of the two it is."
@@ -99,7 +101,8 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
         joint, found = _found(team, joint, frame, ahead, regions, followed)
     if found is None or (is_fast(joint, ahead) and is_doubtful(team, joint, found)):
         joint, better = _found_thoroughly(team, joint, number, frames, ahead, regions)
-        found = better if better is not None or found is None or not is_the_same(joint, found, ahead) else found
+        if better is not None or (found is not None and not _goes_on(joint, found, ahead)):
+            found = better
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
     return not_found(joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
@@ -147,6 +150,13 @@ def _found(
             # The first motion: what does not take part in it is background, however much of the boxes it fills.
             guess, pairs = seen, on_the_move(team, joint, frame, pairs, seen)
     return joint, solved_from(team, joint, frame, pairs, guess, regions, followed, anew=anew)
+
+
+def _goes_on(joint: Joint, found: Found, ahead: RigidTransform) -> bool:
+    """Whether what little agrees with a pose is where it should be: where the object was to go on to (at world_from_object),
+    or, while it is not known how it moves, about where it was."""
+    turn = found.motion.rotation.magnitude()
+    return is_the_same(joint, found, ahead) and bool(joint.velocity.frames or turn < FIRST_TURN)
 
 
 def _found_thoroughly(

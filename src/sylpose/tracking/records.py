@@ -114,7 +114,7 @@ class Agreed:
         matches: number of inliers, of so many matches that were tried.
         references: numbers of the frames they are matches with, and weights: the sum of each one's weights.
         ages: of the inliers' landmarks.
-        features: number of features that are inliers.
+        features: number of features that are inliers; moving: of those that do not stand still.
         residual_px: the rms of their residuals, NaN without any.
         sees: whether the frame has any feature of this camera.
     """
@@ -127,6 +127,7 @@ class Agreed:
     features: int
     residual_px: float
     sees: bool
+    moving: int = 0
 
 
 @dataclass(frozen=True, eq=False)
