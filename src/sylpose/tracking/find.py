@@ -23,7 +23,7 @@ from sylpose.tracking.anchor import FEATURES as ANCHOR_FEATURES
 from sylpose.tracking.anchor import Followed, suffices, with_new
 from sylpose.tracking.camera import CameraPart, SeenAgain
 from sylpose.tracking.crew import Crew
-from sylpose.tracking.frame import CameraFrame, Frame, Pair, inliers_of, without_background
+from sylpose.tracking.frame import CameraFrame, Frame, Pair, inliers_of, still, without_background
 from sylpose.tracking.frame_solvers import Agreement, Problem, Solution, Solver
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import references_of, viewpoints
@@ -371,6 +371,7 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
         tried_moved=len(np.unique(np.concatenate([np.empty(0, np.int64), *before]))),
         residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
         sees=len(current.features) > 0,
+        moving=len(np.unique(np.concatenate([np.empty(0, np.int64), *(p.indices[~still(p), 1] for p in inliers)]))),
     )
 
 

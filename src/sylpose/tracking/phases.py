@@ -56,6 +56,8 @@ WAITING_BYTES = 1 << 29
 # A motion of which not all is seen, a slide's length or a small turn, has to wait for one that moves by this much in the
 # middle, pixels, as long as there is any waiting (choice).
 FIRST_PX = 8.0
+# A first motion of which little is seen is believed up to this turn, radians (choice).
+FIRST_TURN = np.radians(3.0)
 AMBIGUOUS = (
     "Without boxes, what moves most is tracked; something else moved nearly as much. Boxes or masks of the object would "
     "tell which of the two it is."
@@ -102,7 +104,8 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
         joint, found = _found(team, joint, frame, ahead, regions, followed)
     if found is None or (is_fast(joint, ahead) and is_doubtful(team, joint, found)):
         joint, better = _found_thoroughly(team, joint, number, frames, ahead, regions)
-        found = better if better is not None or found is None or not is_the_same(joint, found, ahead) else found
+        if better is not None or (found is not None and not _goes_on(joint, found, ahead)):
+            found = better
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
     return not_found(joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
@@ -153,6 +156,13 @@ def _found(
     if found is not None and joint.may_be_background(found.agreed):
         return replace(joint, only_still=True), None
     return joint, found
+
+
+def _goes_on(joint: Joint, found: Found, ahead: RigidTransform) -> bool:
+    """Whether what little agrees with a pose is where it should be: where the object was to go on to (at world_from_object),
+    or, while it is not known how it moves, about where it was."""
+    turn = found.motion.rotation.magnitude()
+    return is_the_same(joint, found, ahead) and bool(joint.velocity.frames or turn < FIRST_TURN)
 
 
 def _found_thoroughly(

@@ -120,6 +120,7 @@ class Agreed:
         ages: of the inliers' landmarks.
         features: number of features that are inliers, and moved: of those that have moved with the object, now or before.
         tried_moved: number of features, inliers or not, that were seen to move with the object before.
+        moving: number of features that are inliers and do not stand still.
         residual_px: the rms of their residuals, NaN without any.
         sees: whether the frame has any feature of this camera.
     """
@@ -134,6 +135,7 @@ class Agreed:
     tried_moved: int
     residual_px: float
     sees: bool
+    moving: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.results import Status
 from sylpose.tracking.find import Found, Region, Team, is_the_same, on_the_move, regions_of, solved_from
 from sylpose.tracking.frame import Frame, Pair
 from sylpose.tracking.joint import Joint
@@ -65,7 +66,7 @@ def searched(
         for share in PREDICTED:
             found = found_near(team, young, frame, ahead, ahead, regions, share)
             candidates.append(found if found is not None and is_the_same(joint, found, ahead) else None)
-    candidates = [narrowed(team, joint, frame, found, ahead, regions) for found in candidates]
+    candidates += [narrowed(team, joint, frame, found, ahead, regions) for found in candidates]
     good = [found for found in candidates if found is not None and not is_doubtful(team, joint, found)]
     best = max(good, key=lambda found: score(team, joint, found), default=None)
     return joint, best if best is not None and is_convincing(team, joint, best) else None
@@ -158,9 +159,14 @@ def score(team: Team, joint: Joint, found: Found) -> float:
 
 
 def is_doubtful(team: Team, joint: Joint, found: Found) -> bool:
-    """Whether so little agrees with a pose, or so badly, that another may be the true one. A camera in which much else is
-    seen does not count, if two others agree; nor one that sees next to nothing."""
-    features, share = np.array([a.features for a in found.agreed]), worth(team, joint, found)
+    """Whether so little agrees with a pose, or so badly, that another may be the true one.
+
+    A camera in which much else is seen does not count, if two others agree; nor one that sees next to nothing; nor, while
+    no motion is known yet, what stands still: the background agrees with itself.
+    """
+    known = joint.velocity.frames > 0 or found.solution.status is Status.NO_MOTION
+    features = np.array([a.features if known else a.moving for a in found.agreed])
+    share = worth(team, joint, found)
     good = share > GOOD_SHARE
-    sees = int(((features >= FEW) & good).sum()), int((features >= FEW).sum())
-    return bool((features * share)[good].sum() < ENOUGH or sees[0] < min(2, sees[1]))
+    agree, see = int(((features >= FEW) & good).sum()), int((features >= FEW).sum())
+    return bool((features * share)[good].sum() < ENOUGH or agree < min(2, see))
