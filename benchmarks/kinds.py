@@ -1,6 +1,6 @@
 """Kinds of scenes that nobody tuned to: rendered, seeded, dozens of variations of each. What counts is the worst of them.
 
-    python -m benchmarks.kinds [KIND ...] [--group background] [--seeds 0:10] [--features klt sift auto] [--smooth]
+    python benchmarks/kinds.py [KIND ...] [--group background] [--seeds 0:10] [--features klt sift auto] [--smooth]
                                [--each] [--frames] [--json FILE]
 
 A variation is tracked in this process from the images as rendered; errors are of the motion since the first frame with a

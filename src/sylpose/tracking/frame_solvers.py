@@ -16,7 +16,7 @@ from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.crew import Crew
 from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, base_from_reference
-from sylpose.tracking.records import Chance, Known, total_ages
+from sylpose.tracking.records import Ages, Chance, Known, total_ages
 from sylpose.tracking.sights import STILL_TRUST, ages_of, chance_of, cut, sights_of, smear, usual_age, with_trust
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
@@ -41,6 +41,8 @@ YOUNG = 3
 # A depth is known where it moves the landmark's image by less than this, pixels; the 2D-3D equation wants so
 # many (choice).
 KNOWN_PX, KNOWN = 1.0, 30
+# What moves is not merely noise where it is this share of all landmarks (choice).
+MOVING_SHARE = 0.06
 # Depths and motion are found in turns so often at most, until the rotation changes by less (choice).
 POSIT_ROUNDS, POSIT_SETTLED = 20, 1e-6
 
@@ -185,7 +187,7 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights]]:
     usual = max(usual_age(all_ages), problem.base.age)
     # A landmark that stands still and was never seen to move gets next to no trust once others do: a background that is not
     # known as such yet agrees with itself as well as the object does, and is often larger.
-    others_move = sum(a.moving for a in ages) >= max(MIN_MATCHES, 0.1 * len(all_ages))
+    others_move = _others_move(ages)
     of_still = STILL_TRUST if others_move else 1.0
     sights = crew.each(lambda c: with_trust(*seen[c], usual, of_still))
     if len(all_ages) < MIN_MATCHES:
@@ -206,6 +208,15 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights]]:
         return _nothing(crew, problem, Status.NOT_CONSISTENT), sights
     agreement = crew.each(lambda c: cut(*found[c], pairs[c]))
     return Solution(status, pose.rotation, pose.shift, pose.information, pose.iterations, agreement, pose.doubt), sights
+
+
+def _others_move(ages: Sequence[Ages]) -> bool:
+    """Whether enough landmarks move, or did, for the others to be background: in two cameras, if there are two, since
+    something may pass by in front of one."""
+    total = [float(a.counts.sum()) for a in ages]
+    seeing = [a.moving for a, n in zip(ages, total, strict=True) if n >= MIN_MATCHES]
+    cameras = sum(2 * moving >= MIN_MATCHES for moving in seeing)
+    return sum(seeing) >= max(MIN_MATCHES, MOVING_SHARE * sum(total)) and cameras >= min(2, len(seeing))
 
 
 def _by_chance(chances: Sequence[Chance]) -> bool:
