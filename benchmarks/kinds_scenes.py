@@ -5,9 +5,11 @@ little texture. Each makes a variation of itself from a random generator. Those 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import io
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import av
 import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -35,6 +37,8 @@ class Take:
         gain: (frames, C) factors of the images' brightness, or None.
         nudge: (camera, frame, rotation vector): a camera that is turned from a frame on, about its centre, unknown to its
             calibration; or None.
+        codec: what the images went through, "jpeg QUALITY" or "h264 CRF", so that keypoints of what stands still jitter; or
+            None.
     """
 
     scene: Scene
@@ -42,12 +46,22 @@ class Take:
     radius: float
     gain: FloatArray | None = None
     nudge: tuple[int, int, FloatArray] | None = None
+    codec: str | None = None
 
     def frames(self) -> Iterator[FrameSet]:
         """As the tracker gets them."""
         nothing = (None,) * len(self.scene.rig)
-        for k, images in enumerate(render_frames(self.scene)):
-            seen = [self._seen(c, k, image) for c, image in enumerate(images)]
+        images: Iterable[Sequence[Image]] = (
+            [self._seen(c, k, image) for c, image in enumerate(seen)]
+            for k, seen in enumerate(render_frames(self.scene))
+        )
+        if self.codec is not None:
+            name, quality = self.codec.split()
+            if name == "jpeg":
+                images = ([jpeg(image, int(quality)) for image in seen] for seen in images)
+            else:
+                images = zip(*(h264(list(of), int(quality)) for of in zip(*images, strict=True)), strict=True)
+        for k, seen in enumerate(images):
             yield FrameSet(k, k / 30.0, nothing, tuple(seen), nothing)
 
     def _seen(self, c: int, k: int, image: Image) -> Image:
@@ -56,6 +70,27 @@ class Take:
         if self.gain is not None:
             image = np.clip(np.rint(image * self.gain[k, c]), 0, 255).astype(np.uint8)
         return image
+
+
+def jpeg(image: Image, quality: int) -> Image:
+    """An image as a camera's JPEG has it."""
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)
+
+
+def h264(images: Sequence[Image], crf: int) -> list[Image]:
+    """Images as a compressed video has them."""
+    file = io.BytesIO()
+    with av.open(file, "w", format="mp4") as video:
+        stream = video.add_stream("libx264", rate=30, options={"crf": str(crf), "preset": "veryfast"})
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        for image in images:
+            video.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+        video.mux(stream.encode())
+    file.seek(0)
+    with av.open(file, "r") as written:
+        return [np.asarray(frame.to_ndarray(format="bgr24")) for frame in written.decode(video=0)]
 
 
 def turned(image: Image, camera: Camera, rotvec: FloatArray) -> Image:
@@ -213,6 +248,22 @@ def creeps(rng: np.random.Generator) -> Take:
     return Take(Scene(rig, (Actor(body, moving(rng, degrees, way)),), count, int(rng.integers(1 << 30))), None, radius)
 
 
+def held_compressed(rng: np.random.Generator) -> Take:
+    """A board held in a hand, 10 to 40 % of the image, before a wall whose keypoints jitter: the images were compressed."""
+    rig, radius = rig_of(rng, share=rng.uniform(0.4, 0.9))
+    creep, count = int(rng.integers(8, 16)), 45
+    trembling = np.cumsum(rng.normal(0, 0.12, count)) * (np.arange(count) < creep)
+    speed = float(rng.uniform(1, 3))
+    degrees = np.where(np.arange(count) < creep, trembling, trembling[creep - 1] + after(creep - 1, count, speed))
+    way = np.cumsum(rng.normal(0, 0.003 * radius, (count, 3)), axis=0)
+    way += after(creep, count, 1.0)[:, None] * 0.02 * radius * unit(rng)
+    scene = Scene(
+        rig, (Actor(board(rng, rig, radius), moving(rng, degrees, way)),), count, int(rng.integers(1 << 30)), noise=3.0
+    )
+    codec = f"jpeg {rng.integers(40, 80)}" if rng.random() < 0.4 else f"h264 {rng.integers(26, 36)}"
+    return Take(scene, None, radius, codec=codec)
+
+
 def passer(rng: np.random.Generator, rig: Rig, radius: float) -> Actor:
     """A person's coat, say: something larger that walks by behind the object, seen from the cameras."""
     middle = np.mean([camera.center for camera in rig], axis=0)
@@ -341,6 +392,8 @@ def named(kinds: Sequence[Kind]) -> dict[str, Kind]:
 
 
 GROUPS: dict[str, dict[str, Kind]] = {
-    "background": named([stands_slow, stands_fast, creeps, person_behind, wide_boxes, exposure_drift, nudged]),
+    "background": named(
+        [stands_slow, stands_fast, creeps, held_compressed, person_behind, wide_boxes, exposure_drift, nudged]
+    ),
     "slides": named([slide_free, slide_boxed, slide_wide, slide_narrow, slide_wobbly, slide_then_turn]),
 }

@@ -24,6 +24,7 @@ import sylpose
 from sylpose import calibration
 from sylpose.app import check as checks
 from sylpose.app import demo
+from sylpose.app.following import what_moves
 from sylpose.app.run import track_session
 from sylpose.app.text import length
 from sylpose.capture import Session, open_session
@@ -32,6 +33,7 @@ from sylpose.frames import FrameSet
 from sylpose.methods import FEATURES, METHODS
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.report.rigview import meeting_point
+from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig, camera_at
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.tracked_frame import TrackedFrame
@@ -510,7 +512,32 @@ def test_check_says_what_was_understood(run: Command, recording: Path, tmp_path:
     ):
         assert words in result.out
     assert "Ready to track" in result.out
+    assert "what is in the boxes of cam_0" in result.out
     assert cv2.imread(str(tmp_path / "rig.png")) is not None
+    assert cv2.imread(str(tmp_path / "follows.png")) is not None
+
+
+def without_boxes(recording: Path) -> Session:
+    """`what_moves` does not look at them."""
+    return open_session(recording)
+
+
+def test_check_says_what_moves_without_boxes(recording: Path) -> None:
+    found = what_moves(without_boxes(recording))
+    assert found.said.startswith("what moves from frame 0 to ")
+    assert found.said.count("cam_") == 3
+    assert found.wrong == ()
+    assert all(outline is not None and len(outline) > 3 for outline in found.outlines)
+
+
+def test_check_does_not_promise_what_does_not_move(recording: Path) -> None:
+    """Of one frame nothing can be said; it is drawn all the same."""
+    found = what_moves(without_boxes(recording), looked_at=1)
+    assert len(found.wrong) == 1
+    assert "nothing that could be followed does within the first frame" in found.wrong[0]
+    assert FrameStatus.NO_MOTION.text in found.wrong[0]
+    assert found.frames is not None
+    assert found.outlines == (None,) * 3
 
 
 @pytest.mark.parametrize("name", ["temple", "board4"])

@@ -49,7 +49,7 @@ def test_a_camera_without_some_frames(clip: Clip) -> None:
         assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
         error = errors(tracked, clip.truth)
         assert error[:, 0].max() < HALF_DEGREE
-        assert error[:, 1].max() < 2.5
+        assert error[:, 1].max() < 3.5
         seen = inliers(tracked)[:, 1]
         assert not seen[[0, 4, 5]].any()
         assert seen[7] > 20
@@ -221,7 +221,7 @@ def test_leaving_and_coming_back() -> None:
     found = statuses(tracked)
     assert found[:7] == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 6
     assert FrameStatus.LOST in found[10:18]
-    assert set(found[11:18]) <= {FrameStatus.COASTING, FrameStatus.LOST}
+    assert set(found[11:18]) <= {FrameStatus.COASTING, FrameStatus.LOST, FrameStatus.ONLY_STILL}
     back = found.index(FrameStatus.RELOCALISED)
     assert back <= 22 + 2
     assert set(found[back + 1 :]) == {FrameStatus.TRACKED}
@@ -278,7 +278,7 @@ def test_another_body_in_its_place_is_not_taken_for_it(gap: int, seed: int) -> N
 
     clip = Clip.render(moving_scene(path, 12 + gap, [Actor(other, others)]))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
-    assert set(statuses(tracked[8:])) <= {FrameStatus.COASTING, FrameStatus.LOST}
+    assert set(statuses(tracked[8:])) <= {FrameStatus.COASTING, FrameStatus.LOST, FrameStatus.ONLY_STILL}
 
 
 def test_an_unknown_side_is_not_taken_for_a_known_one() -> None:
@@ -291,7 +291,7 @@ def test_an_unknown_side_is_not_taken_for_a_known_one() -> None:
 
     clip = Clip.render(moving_scene(path, 16, n_cameras=3))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
-    assert set(statuses(tracked[8:])) <= {FrameStatus.COASTING, FrameStatus.LOST}
+    assert set(statuses(tracked[8:])) <= {FrameStatus.COASTING, FrameStatus.LOST, FrameStatus.ONLY_STILL}
 
 
 def test_a_camera_that_comes_back_takes_part_at_once(clip: Clip) -> None:

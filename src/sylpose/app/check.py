@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from sylpose.app import text
+from sylpose.app.following import Follows, box_outlines, what_moves
 from sylpose.app.notes import notes
 from sylpose.app.text import length
 from sylpose.calibration import anipose, caliscope
 from sylpose.capture import Session
 from sylpose.numerics.arrays import FloatArray
 from sylpose.report.files import output_folder
+from sylpose.report.following import draw_followed
 from sylpose.report.rigview import describe_rig, meeting_point, plot_rig
 from sylpose.rig import Rig
 from sylpose.tracking.region import volume_from_boxes
@@ -48,10 +50,11 @@ class Place:
 
 
 def check_aloud(session: Session, out: Path | None) -> None:
-    """Says what is understood of a session and what looks wrong with it, and draws its rig into `rig.png`.
+    """Says what is understood of a session, what will be followed in it and what looks wrong; draws its rig into `rig.png`,
+    and what will be followed into `follows.png`.
 
     Args:
-        out: folder for the picture; None: `sylpose` in the session's folder.
+        out: folder for the pictures; None: `sylpose` in the session's folder.
 
     Raises:
         ValueError: boxes that cannot be of one object.
@@ -67,13 +70,31 @@ def check_aloud(session: Session, out: Path | None) -> None:
     console.print()
     text.print_facts(console, facts(session, places))
     plot_rig(session.rig, picture, place.center if place.radius else None, place.radius)
-    text.print_files(console, "Picture", [picture])
+    wrong = obstacles(places)
+    followed = None if wrong else follows(session)
+    pictures = [picture]
+    if followed is not None and followed.frames is not None:
+        pictures.append(picture.with_name("follows.png"))
+        draw_followed(pictures[-1], followed.frames.images, session.rig.names, followed.outlines)
+    text.print_files(console, "Pictures" if len(pictures) > 1 else "Picture", pictures)
     console.print()
-    found = warnings(session, places)
+    if followed is not None:
+        console.print(f"Follows: {followed.said}.", highlight=False)
+    found = [*warnings(session, places), *(followed.wrong if followed is not None else ())]
     text.print_warnings(console, found)
-    if wrong := obstacles(places):
+    if wrong:
         raise ValueError("; ".join(wrong))
     console.print("Ready to track." if not found else "Can be tracked; see the warnings above.")
+
+
+def follows(session: Session) -> Follows:
+    """What will be followed: what is in the boxes of the first object, or what moves without any."""
+    name = next(iter(session.objects), None)
+    boxes = session.boxes if name is None else session.of(name).boxes
+    if not boxes:
+        return what_moves(session)
+    first = next(iter(session.frames()), None)
+    return Follows(first, box_outlines(session, boxes), f"what is in the boxes of {', '.join(boxes)}")
 
 
 def object_place(session: Session) -> Place:

@@ -17,7 +17,7 @@ from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.crew import Crew
 from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, base_from_reference
-from sylpose.tracking.records import Chance, Known, total_ages
+from sylpose.tracking.records import Ages, Chance, Known, total_ages
 from sylpose.tracking.sights import (
     STILL_TRUST,
     ages_of,
@@ -56,6 +56,8 @@ YOUNG = 3
 # A depth is known where it moves the landmark's image by less than this, pixels; the 2D-3D equation wants so
 # many (choice).
 KNOWN_PX, KNOWN = 1.0, 30
+# What moves is not merely noise where it is this share of all landmarks (choice).
+MOVING_SHARE = 0.06
 # Depths and motion are found in turns so often at most, until the rotation changes by less (choice).
 POSIT_ROUNDS, POSIT_SETTLED = 20, 1e-6
 
@@ -200,7 +202,7 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights]]:
     usual = max(usual_age(all_ages), problem.base.age)
     # A landmark that stands still and was never seen to move gets next to no trust once others do: a background that is not
     # known as such yet agrees with itself as well as the object does, and is often larger.
-    others_move = sum(a.moving for a in ages) >= max(MIN_MATCHES, 0.1 * len(all_ages))
+    others_move = _others_move(ages)
     of_still = STILL_TRUST if others_move else 1.0
     sights = crew.each(lambda c: with_trust(*seen[c], usual, of_still))
     if len(all_ages) < MIN_MATCHES:
@@ -236,6 +238,15 @@ def _support(crew: Crew, sights: Sequence[Sights], found: Sequence[tuple[FloatAr
 def _angle(rotation: FloatArray) -> float:
     """Radians that a rotation (3, 3) turns by."""
     return float(Rotation.from_matrix(rotation).magnitude())
+
+
+def _others_move(ages: Sequence[Ages]) -> bool:
+    """Whether enough landmarks move, or did, for the others to be background: in two cameras, if there are two, since
+    something may pass by in front of one."""
+    total = [float(a.counts.sum()) for a in ages]
+    seeing = [a.moving for a, n in zip(ages, total, strict=True) if n >= MIN_MATCHES]
+    cameras = sum(2 * moving >= MIN_MATCHES for moving in seeing)
+    return sum(seeing) >= max(MIN_MATCHES, MOVING_SHARE * sum(total)) and cameras >= min(2, len(seeing))
 
 
 def _by_chance(chances: Sequence[Chance]) -> bool:

@@ -51,6 +51,7 @@ class Joint:
         length_sd: the relative standard deviation that all lengths of its path have in common, as long as no turn has told
             them; 0 once one has.
         proven: whether it was ever seen to move against what stands still.
+        first_motion: since the first frame as the last one had it, while boxes are all that is known of its depth.
         only_still: whether in the frame at hand only what never moved agreed with a pose.
     """
 
@@ -65,6 +66,7 @@ class Joint:
     lost: bool = False
     length_sd: float = 0.0
     proven: bool = False
+    first_motion: RigidTransform | None = None
     only_still: bool = False
 
     @property
@@ -90,13 +92,15 @@ class Joint:
         """With the frame whose pose defines the object's frame."""
         return replace(self, last=first, keyframes=(first,))
 
-    def accepted(self, solved: SolvedFrame, motion: RigidTransform, *, anew: bool, moved: int = 0) -> Joint:
+    def accepted(
+        self, solved: SolvedFrame, motion: RigidTransform, *, anew: bool, agreed: Sequence[Agreed] = ()
+    ) -> Joint:
         """With a solved frame.
 
         Args:
             motion: of the object since the last one.
             anew: whether it has features of its own, to be matched by their looks.
-            moved: how many of the features that agree with it have moved with the object, now or before.
+            agreed: by camera, what of its matches agrees.
         """
         velocity = self.velocity.forgotten(stands=self.lost) if self.missed else self.velocity
         if not self.lost:
@@ -112,9 +116,16 @@ class Joint:
             missed=0,
             seen_again=0,
             lost=False,
-            proven=self.proven or moved >= MIN_MOVED,
+            proven=self.proven_by(agreed),
             only_still=False,
         )
+
+    def proven_by(self, agreed: Sequence[Agreed]) -> bool:
+        """Whether the object was seen to move, in a frame of which so much agrees (by camera) at the latest: by two cameras
+        at least, since something may pass by in front of one."""
+        seeing = [a.moved for a in agreed if a.features >= MIN_MOVED]
+        cameras = sum(2 * moved >= MIN_MOVED for moved in seeing)
+        return self.proven or (sum(seeing) >= MIN_MOVED and cameras >= min(2, len(seeing)))
 
     def may_be_background(self, agreed: Sequence[Agreed]) -> bool:
         """Whether a pose is one that the background would have as well: of what agrees with it (by camera) next to nothing
@@ -157,13 +168,16 @@ class Joint:
         )
 
     def relearnt(self, radius: float) -> Joint:
-        """Once it is known how large the object is: what boxes told of the depth of its landmarks is forgotten."""
-        young = {frame.number: replace(frame, age=1.0) for frame in (*self.keyframes, self.base)}
+        """Once it is known how large the object is: what boxes told of the depth of its landmarks is forgotten, and so are
+        the poses that followed from it, which are all but the first frame's."""
+        first = replace(self.keyframes[0], age=1.0)
+        kept = self.anchor is not None and self.anchor.frame.number == first.number
         return replace(
             self,
             object=replace(self.object, radius=radius, guessed=False),
-            keyframes=tuple(young[frame.number] for frame in self.keyframes),
-            last=young[self.base.number],
+            keyframes=(first,),
+            last=first,
+            anchor=Anchor(first, self.anchor.age) if kept and self.anchor is not None else None,
         )
 
 

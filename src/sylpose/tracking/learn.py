@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
+from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import FloatArray
 from sylpose.results import FramePose, FrameStatus, Observable, Status
 from sylpose.tracking.anchor import Anchor
@@ -20,11 +21,10 @@ from sylpose.tracking.joint import Joint, covariance_with_references
 from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.records import total_ages
 from sylpose.tracking.sights import usual_age
-from sylpose.tracking.start import first_motion
+from sylpose.tracking.start import agree, first_motion
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame, shown, sightings, unsolved_frame
 from sylpose.tracking.window import is_due, refined
 from sylpose.two_frames.fit import MIN_MATCHES
-from sylpose.two_frames.motion import motion_about
 from sylpose.two_frames.verdict import observed
 
 __all__ = ["accept_first", "accepted", "first_points", "not_found", "triangulated", "with_surface"]
@@ -37,6 +37,8 @@ BULGE = 0.5
 REJECTED, HEARD = 0.2, 0.5
 # A camera that is doubted by this factor teaches nothing in that frame (choice).
 SILENT = 30.0
+# The error of a turn while all depths are guesses, as a share of it (choice).
+MIRRORED = 0.5
 # So many points show where an object's surface is (choice).
 MIN_POINTS = 20
 
@@ -85,7 +87,9 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     # A camera that was rejected as a whole would teach landmarks that agree with what it sees, and be believed again.
     doubt = _doubt(found)
     on_it = np.array([a.tried_moved for a in found.agreed]) >= MIN_MATCHES  # else it may see something else
-    silent = on_it & (doubt > SILENT)
+    # Nor do frames teach in which all may be background still: as the object creeps, its landmarks would go half of the way.
+    proven = joint.proven_by(found.agreed)
+    silent = (on_it & (doubt > SILENT)) | (not proven)
     cameras = crew.each(lambda c: parts[c].blind() if silent[c] else found.frame.cameras[c])
     frame = replace(found.frame, cameras=cameras)
     known, radius = joint.known, joint.object.radius
@@ -94,6 +98,12 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     covariance = base.covariance
     if not stood:
         covariance = covariance_with_references(solution.information, pose, found.agreed, known, radius)
+    if not proven:
+        covariance = covariance + _unnoticed(team, pose, radius)
+    if joint.object.guessed:
+        # With all depths guessed, the mirror image of a turn explains it nearly as well.
+        turn = (pose.rotation * joint.keyframes[0].world_from_object.rotation.inv()).magnitude()
+        covariance = covariance + np.diag(np.repeat([(MIRRORED * turn) ** 2, 0.0], 3))
     solved = SolvedFrame(
         frame.number,
         frame.time,
@@ -121,9 +131,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         for surface in crew.ask(lambda c: seen[c].surface):
             model = model.with_points(surface, team.seed)
     status = FrameStatus.RELOCALISED if joint.missed else FrameStatus.TRACKED
-    after = replace(joint, object=model).accepted(
-        solved, found.motion, anew=found.anew, moved=sum(a.moved for a in found.agreed)
-    )
+    after = replace(joint, object=model).accepted(solved, found.motion, anew=found.anew, agreed=found.agreed)
     # Where it was found again next to nothing is known of what else is seen: the next frame asks the keyframes too.
     begins = found.anew and team.follows and status is FrameStatus.TRACKED
     if begins:
@@ -168,6 +176,14 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     )
 
 
+def _unnoticed(team: Team, pose: RigidTransform, radius: float) -> FloatArray:
+    """(6, 6) of (w, d): by how much an object may have moved of which all that is known is that nothing moved, since most of
+    what is seen may be background."""
+    away = np.array([camera.camera_from_world.apply(pose.translation)[2] / camera.focal for camera in team.rig])
+    shift = STILL_PX * float(np.median(np.abs(away)))
+    return np.diag(np.repeat([(shift / radius) ** 2, shift**2], 3))
+
+
 def _doubt(found: Found) -> FloatArray:
     """(C,) as in `FramePose`: the solution's doubt, where there is anything of the camera to be doubted."""
     shares = np.array([a.matches / max(a.tried, 1) for a in found.agreed])
@@ -195,24 +211,42 @@ def not_found(
     return joint, unsolved_frame(frames, FrameStatus.COASTING, regions, joint.object.radius, ahead, covariance)
 
 
-def with_surface(team: Team, joint: Joint, pairs: Sequence[Sequence[Pair]]) -> tuple[Joint, RigidTransform | None]:
+def with_surface(
+    team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequence[Pair]]
+) -> tuple[Joint, RigidTransform | None]:
     """What boxes allow is much deeper than the object. Epipolar geometry needs no depth: once it finds a motion since the
     first frame, that tells where the surface is, and the landmarks are learnt anew.
 
     Args:
-        pairs: by camera, each its own: the matches of a frame that is not solved yet.
+        frame: that is not solved yet; what is found to be background is marked in it.
+        pairs: by camera, each its own: its matches.
 
     Returns:
-        the state; where the object is in that frame (world_from_object), if it was found. If more than boxes tells where
-        the surface is, this is all that is done.
+        what is known by then; world_from_object in the frame, if it was found. If more than boxes tells where the surface
+        is, this is all that is done.
     """
     crew, first = team.crew, joint.keyframes[0]
     found = first_motion(crew, team.rig, pairs, first.number, team.rng())
+    # Something else than the object may pass by behind it.
+    far = np.linalg.norm(found.middle - first.world_from_object.translation) > joint.object.radius
+    if not found.certain or far:
+        return joint, None
+    before, now = first.world_from_object, found.motion * first.world_from_object
+
+    def told_apart(c: int) -> None:
+        """Boxes may have more background in them than object: what stands still as the rest moves."""
+        known = {first.number: first}
+        team.parts[c].learn_background(
+            [pair for pair in pairs[c] if pair.reference == first.number], frame.cameras[c], now, known, found.radius
+        )
+
+    crew.each(told_apart)
     enough = (Status.OK,) if len(team.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
     if observed(found.fit, joint.object.radius).status not in enough:
         return joint, None
-    before = first.world_from_object
-    now = motion_about(found.center, found.fit.rotation, found.fit.shift) * before
+    # With two cameras a flat object leaves a second motion, another one in each frame.
+    if found.cameras == 2 and not agree(joint.first_motion, found.motion):
+        return replace(joint, first_motion=found.motion), None
     if not joint.object.guessed:
         return joint, now
     points = np.concatenate(crew.ask(lambda c: triangulated(team, c, found.inliers[c], before, now)))
@@ -222,8 +256,7 @@ def with_surface(team: Team, joint: Joint, pairs: Sequence[Sequence[Pair]]) -> t
 
     def learn(c: int) -> None:
         part, camera = team.parts[c], team.rig.cameras[c]
-        for solved in {k.number: k for k in (*joint.keyframes, joint.base)}.values():
-            part.table.learn(part.relearnt(solved.number, camera, solved.world_from_object, points, found.radius))
+        part.table.learn(part.relearnt(first.number, camera, before, points, found.radius))
 
     crew.each(learn)
     return joint, now

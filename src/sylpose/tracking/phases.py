@@ -40,12 +40,11 @@ from sylpose.tracking.frame import Frame, Pair, match_pair, standing
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.learn import accept_first, accepted, first_points, not_found, with_surface
 from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.start import FirstMotion, first_motion, is_ambiguous, jitter_of
+from sylpose.tracking.start import FirstMotion, agree, first_motion, is_ambiguous, jitter_of
 from sylpose.tracking.thorough import is_doubtful, searched
 from sylpose.tracking.tracked_frame import TrackedFrame, unsolved_frame
 from sylpose.tracking.velocity import Velocity
 from sylpose.two_frames.fit import MIN_MATCHES
-from sylpose.two_frames.motion import motion_about
 
 __all__ = ["Waiting", "finish", "next_frame", "recover", "start", "steady"]
 
@@ -67,10 +66,11 @@ START_FEATURES = 4000
 
 
 class Waiting(NamedTuple):
-    """A frame that waits for the object to move."""
+    """A frame that waits for the object to move; a motion since the first of those waiting that may be the object's."""
 
     frame: Frame
     frames: FrameSet
+    motion: RigidTransform | None = None
 
 
 def next_frame(
@@ -148,10 +148,18 @@ def _found(
     """The frame's pose, from a guess. While nothing but boxes tells where the object's surface is, its matches may."""
     pairs = matched(team, joint, frame, guess, followed, anew=anew)
     if joint.object.guessed or not joint.velocity.frames:
-        joint, seen = with_surface(team, joint, pairs)
-        if seen is not None and not joint.velocity.frames:
-            # The first motion: what does not take part in it is background, however much of the boxes it fills.
-            guess, pairs = seen, on_the_move(team, joint, frame, pairs, seen)
+        joint, seen = with_surface(team, joint, frame, pairs)
+
+        def on_it(c: int) -> list[Pair]:
+            known = [pair for pair in pairs[c] if pair.reference in joint.known]
+            return [pair.subset(~frame.cameras[c].background[pair.indices[:, 1]]) for pair in known]
+
+        pairs = team.crew.each(on_it)
+        if seen is not None:
+            guess = seen
+            if not joint.velocity.frames:
+                # The first motion: what does not take part in it is background, however much of the boxes it fills.
+                pairs = on_the_move(team, joint, frame, pairs, seen)
     found = solved_from(team, joint, frame, pairs, guess, regions, followed, anew=anew)
     if found is not None and joint.may_be_background(found.agreed):
         return replace(joint, only_still=True), None
@@ -235,14 +243,18 @@ def start(
     if len(waiting) > 1:
         pairs, found = _first_motion(team, waiting)
         over = len(waiting) > PATIENCE
-        if found.certain and (found.whole or found.shift_px > FIRST_PX or over):
-            begun = _begun(team, waiting, pairs, found)
+        if found.certain:
+            waiting[-1] = waiting[-1]._replace(motion=found.motion)
+            clear = (found.whole or found.shift_px > FIRST_PX) and agree(waiting[-2].motion, found.motion)
+            begun = _begun(team, waiting, pairs, found) if clear or over else None
             if begun is not None:
                 return begun[0], [], begun[1]
         status = found.nothing
     if len(waiting) <= PATIENCE:
         return joint, _lighter(waiting), []
-    return joint, waiting[1:], [unsolved_frame(waiting[0].frames, status)]
+    # What the others have moved by since then is not known.
+    others = [waited._replace(motion=None) for waited in waiting[1:]]
+    return joint, others, [unsolved_frame(waiting[0].frames, status)]
 
 
 def finish(team: Team, waiting: Sequence[Waiting]) -> list[TrackedFrame]:
@@ -260,13 +272,13 @@ def finish(team: Team, waiting: Sequence[Waiting]) -> list[TrackedFrame]:
 def _lighter(waiting: Sequence[Waiting]) -> list[Waiting]:
     """The frames that wait, without the images of the oldest but the first where they are too many to keep: their features
     have to do."""
-    total = [sum(image.nbytes for image in its.images if image is not None) for _, its in waiting]
+    total = [sum(image.nbytes for image in waited.frames.images if image is not None) for waited in waiting]
     kept, light = sum(total), list(waiting)
     for k in range(1, len(waiting)):
         if kept <= WAITING_BYTES:
             break
-        frame, its = waiting[k]
-        light[k] = Waiting(frame, replace(its, images=(None,) * len(its.images)))
+        its = waiting[k].frames
+        light[k] = waiting[k]._replace(frames=replace(its, images=(None,) * len(its.images)))
         kept -= total[k]
     return light
 
@@ -294,9 +306,9 @@ def _begun(
         pairs: matches of the last one with the first.
     """
     crew, rig, parts = team.crew, team.rig, team.parts
-    (first, first_frames), *others = waiting
+    (first, first_frames, _), *others = waiting
     before = RigidTransform.from_translation(found.middle)
-    now = motion_about(found.center, found.fit.rotation, found.fit.shift) * before
+    now = found.motion * before
     model = ObjectModel(found.middle, found.radius)
     points = crew.ask(lambda c: first_points(team, c, found.inliers[c], before, now))
     joint = Joint(model.with_points(np.concatenate(points), team.seed))

@@ -17,12 +17,13 @@ from sylpose.tracking.records import Ages, Chance
 
 __all__ = ["STILL_TRUST", "ages_of", "chance_of", "cut", "sights_of", "smear", "support_of", "usual_age", "with_trust"]
 
-# Weight of a landmark that stands still and never moved, while others move (choice).
-STILL_TRUST = 0.05
+# Weight of a landmark that stands still and never moved, while others move: boxes may hold ten times as much wall as object
+# (choice).
+STILL_TRUST = 0.005
 # Noise by which poses are compared, pixels: that of each of them is fitted, and more of it explains more (choice).
 VOTE_PX = 0.5
-# Landmarks with less trust are no evidence that a pose is right: such a one has a little less (derived).
-TRUSTED = 1.2 * STILL_TRUST
+# Landmarks with less trust are no evidence that a pose is right: those, and young ones among old (choice).
+TRUSTED = 0.06
 
 
 def sights_of(

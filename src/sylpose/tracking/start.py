@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.results import FrameStatus, Status
@@ -16,11 +17,12 @@ from sylpose.tracking.frame import Pair, inliers_of, still
 from sylpose.tracking.frame_solvers import dealt, gathered
 from sylpose.tracking.records import Moved
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
+from sylpose.two_frames.motion import motion_about
 from sylpose.two_frames.solver import fit_terms
 from sylpose.two_frames.terms import object_place
 from sylpose.two_frames.verdict import observed
 
-__all__ = ["FirstMotion", "first_motion", "is_ambiguous", "jitter_of"]
+__all__ = ["FirstMotion", "agree", "first_motion", "is_ambiguous", "jitter_of"]
 
 # Another motion with this share of the object's inliers might be the object as well (choice).
 RIVAL_SHARE = 0.5
@@ -37,6 +39,9 @@ SIGNIFICANT, SIGNIFICANT_PX, SIGNIFICANT_SIGMAS = 6, 3.5, 7.0
 LIKELIER = 5.0
 # Unknowns of a motion, and of each camera's surface (derived).
 OF_MOTION, OF_SURFACE = 6, 6
+# From one frame to the next, a motion since the first frame changes its turn by no more than this share of it, or by this
+# much, radians (choice).
+SAME_SHARE, SAME_TURN = 0.6, np.radians(0.75)
 # This share of all matches goes astray, and does not mean that anything moved (choice).
 STRAY_SHARE = 0.05
 # Noise of keypoints at least, pixels (choice).
@@ -53,6 +58,7 @@ class FirstMotion:
         radius: of its inliers about the middle of them, `middle` (3,); NaN without any.
         count: number of inliers.
         shift_px: by how much they are displaced, in the middle; NaN without any.
+        cameras: how many see it: so many matches that are displaced by so much.
         certain: whether it is more than the noise of what stands still.
         whole: whether all of it is seen, the size of the turn and the length of the way too.
         nothing: what is to be said where that is not the object's motion: nothing was matched, nothing moved, or no rigid
@@ -66,10 +72,27 @@ class FirstMotion:
     radius: float
     count: int
     shift_px: float
+    cameras: int
     certain: bool
     whole: bool
     nothing: FrameStatus
     inliers: Sequence[Sequence[Pair]]
+
+    @property
+    def motion(self) -> RigidTransform:
+        """Of the object since the frame."""
+        return motion_about(self.center, self.fit.rotation, self.fit.shift)
+
+
+def agree(one: RigidTransform | None, next_one: RigidTransform | None) -> bool:
+    """Whether two frames' motions since the same frame, in this order, may be of one body that goes on.
+
+    Few cameras and a flat object leave a second motion that explains the matches as well; it is another one in each frame.
+    """
+    if one is None or next_one is None:
+        return False
+    turn = max(one.rotation.magnitude(), next_one.rotation.magnitude())
+    return bool((next_one.rotation * one.rotation.inv()).magnitude() <= max(SAME_SHARE * turn, SAME_TURN))
 
 
 def jitter_of(pair: Pair) -> float:
@@ -118,7 +141,7 @@ def first_motion(
         nothing = FrameStatus.NOT_CONSISTENT
     if not data:
         fit = no_fit(data, Status.TOO_FEW_MATCHES)
-        return FirstMotion(fit, nowhere, nowhere, np.nan, 0, np.nan, False, False, nothing, crew.each(lambda _: []))
+        return FirstMotion(fit, nowhere, nowhere, np.nan, 0, np.nan, 0, False, False, nothing, crew.each(lambda _: []))
     center, radius = object_place(data)
     fit = fit_terms(data, center, radius, [], rng)
     agreement = dealt(fit, terms)
@@ -129,6 +152,7 @@ def first_motion(
     good = [(term, shift) for term, shift in good if len(term)]
     middle, size = object_place([term for term, _ in good]) if good else (nowhere, np.nan)
     displacement = np.concatenate([np.empty(0), *(shift for _, shift in good)])
+    seeing, likelier = _significance(fit, told)
     return FirstMotion(
         fit,
         center,
@@ -136,16 +160,17 @@ def first_motion(
         size,
         len(displacement),
         float(np.median(displacement)) if len(displacement) else np.nan,
-        _is_certain(fit, told, min(2, len(rig))),
+        seeing,
+        likelier and seeing >= min(2, len(rig)),
         fit.status is Status.OK and observed(fit, size).status is Status.OK,
         nothing,
         crew.each(lambda c: inliers_of([pair for pair in moving[c] if len(pair)], [w for w, _ in agreement[c]])),
     )
 
 
-def _is_certain(fit: Fit, told: Sequence[Moved], cameras: int) -> bool:
-    """Whether a motion is more than the noise of keypoints that stand still: so many cameras at least see it, and it is
-    likelier than that the matches are displaced as they are in directions of their own.
+def _significance(fit: Fit, told: Sequence[Moved]) -> tuple[int, bool]:
+    """How many cameras see a motion beyond the noise of keypoints that stand still, and whether it is likelier than that the
+    matches are displaced as they are in directions of their own.
 
     A displacement by d in any direction has the share 1 / (π √(d² - r²)) of a component r; a rigid motion, which says where
     the match's epipolar line is, has Gauss's of a residual r.
@@ -163,7 +188,7 @@ def _is_certain(fit: Fit, told: Sequence[Moved], cameras: int) -> bool:
         far = float(np.median(shift)) > max(SIGNIFICANT_PX, SIGNIFICANT_SIGMAS * record.jitter_px)
         seeing += bool(good.sum() >= SIGNIFICANT and far and gain > 0)
         likelier += gain
-    return seeing >= cameras and likelier > LIKELIER * OF_MOTION
+    return seeing, likelier > LIKELIER * OF_MOTION
 
 
 def is_ambiguous(

@@ -56,7 +56,7 @@ def searched(
     pairs = team.crew.each(lambda c: team.parts[c].match(frame.cameras[c], references[c]), long=True)
     pairs, seen = on_the_move(team, joint, frame, pairs, ahead), None
     if joint.object.guessed or not joint.velocity.frames:
-        joint, seen = with_surface(team, joint, pairs)
+        joint, seen = with_surface(team, joint, frame, pairs)
         if seen is not None and not joint.velocity.frames:
             ahead, pairs = seen, on_the_move(team, joint, frame, pairs, seen)
     candidates = [solved_from(team, joint, frame, pairs, ahead, regions)]

@@ -57,6 +57,11 @@ INTEGRATED = 0.5
 OPEN_PRIOR = 1e-6
 # The slopes' prior is Cauchy's in two dimensions, Student's with one degree of freedom: 1 + 2 (derived).
 TAIL = 3.0
+# One keypoint in ten is so many times as noisy as the others (choice): what that costs when motions are compared, minus the
+# logarithm of its density in two directions over theirs (derived). Without these a motion with more noise, which reaches
+# some of them, would be likelier than the right one, whose noise is less: the second plane of a flat object, say.
+COARSE = 5.0
+SLOPPY = float(2.0 * np.log(COARSE) + np.log(10.0))
 # A mismatch lies anywhere in a square of so many spreads (choice).
 ANYWHERE = 4.0
 # Unknowns never take all of the squares, across the lines and along them (choice).
@@ -214,7 +219,8 @@ def reweight(stack: Stack, usable: BoolArray, fit: Reweighted) -> tuple[int, flo
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             if usable[i]:
                 density = 0.5 * np.log(variance * (variance + (relief[t] * parallax[i]) ** 2))
-                cost += min(0.5 * distance[i] + density, max(anywhere, density)) - anywhere
+                near = min(0.5 * distance[i], 0.5 * distance[i] / COARSE**2 + SLOPPY)
+                cost += min(near + density, max(anywhere, density)) - anywhere
             across[i] *= f
             if not trusted[t]:
                 weights[i] = 0.0

@@ -1,0 +1,47 @@
+"""What is going to be followed, drawn into the first frame of each camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sylpose.numerics.arrays import FloatArray, Image
+from sylpose.report.drawing import AXIS_COLORS, DARK, WHITE
+
+__all__ = ["draw_followed"]
+
+# Height of each camera's picture, pixels.
+HEIGHT = 360
+
+
+def draw_followed(
+    path: Path, images: Sequence[Image | None], names: Sequence[str], outlines: Sequence[FloatArray | None]
+) -> None:
+    """The images beside each other, each with an outline.
+
+    Args:
+        images: of C cameras, (h, w, 3) BGR or (h, w) grey, or None.
+        outlines: (k, 2) pixels, or None.
+
+    Raises:
+        OSError: naming the file that cannot be written.
+    """
+    tiles: list[Image] = []
+    for image, name, outline in zip(images, names, outlines, strict=True):
+        if image is None:
+            tiles.append(np.full((HEIGHT, HEIGHT, 3), DARK, np.uint8))
+        else:
+            scale = HEIGHT / image.shape[0]
+            colour = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+            tiles.append(np.asarray(cv2.resize(colour, (max(1, round(scale * image.shape[1])), HEIGHT)), np.uint8))
+            if outline is not None:
+                points = np.round(((outline + 0.5) * scale - 0.5)[:, None]).astype(np.int32)
+                cv2.polylines(tiles[-1], [points], True, AXIS_COLORS[1], 2, cv2.LINE_AA)
+        cv2.putText(tiles[-1], name, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, WHITE, 1, cv2.LINE_AA)
+    done, data = cv2.imencode(".png", np.hstack(tiles))
+    if not done:
+        raise OSError(f"{path}: the picture cannot be written")
+    path.write_bytes(data.tobytes())
