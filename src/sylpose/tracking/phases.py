@@ -101,8 +101,9 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
         joint, found = _found(team, joint, frame, ahead, regions, followed)
     if found is None or (is_fast(joint, ahead) and is_doubtful(team, joint, found)):
         joint, better = _found_thoroughly(team, joint, number, frames, ahead, regions)
-        if better is not None or (found is not None and not _goes_on(joint, found, ahead)):
-            found = better
+        # A first motion that hardly is one has little to show for itself; else what is doubtful is no pose.
+        begins = found is not None and not joint.velocity.frames and found.motion.rotation.magnitude() < FIRST_TURN
+        found = better if better is not None or not begins else found
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
     return not_found(joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
@@ -150,13 +151,6 @@ def _found(
             # The first motion: what does not take part in it is background, however much of the boxes it fills.
             guess, pairs = seen, on_the_move(team, joint, frame, pairs, seen)
     return joint, solved_from(team, joint, frame, pairs, guess, regions, followed, anew=anew)
-
-
-def _goes_on(joint: Joint, found: Found, ahead: RigidTransform) -> bool:
-    """Whether what little agrees with a pose is where it should be: where the object was to go on to (at world_from_object),
-    or, while it is not known how it moves, about where it was."""
-    turn = found.motion.rotation.magnitude()
-    return is_the_same(joint, found, ahead) and bool(joint.velocity.frames or turn < FIRST_TURN)
 
 
 def _found_thoroughly(
