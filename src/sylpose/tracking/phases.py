@@ -104,8 +104,9 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
         joint, found = _found(team, joint, frame, ahead, regions, followed)
     if found is None or (is_fast(joint, ahead) and is_doubtful(team, joint, found)):
         joint, better = _found_thoroughly(team, joint, number, frames, ahead, regions)
-        if better is not None or (found is not None and not _goes_on(joint, found, ahead)):
-            found = better
+        # A first motion that hardly is one has little to show for itself; else what is doubtful is no pose.
+        begins = found is not None and not joint.velocity.frames and found.motion.rotation.magnitude() < FIRST_TURN
+        found = better if better is not None or not begins else found
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
     return not_found(joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
@@ -164,13 +165,6 @@ def _found(
     if found is not None and joint.may_be_background(found.agreed):
         return replace(joint, only_still=True), None
     return joint, found
-
-
-def _goes_on(joint: Joint, found: Found, ahead: RigidTransform) -> bool:
-    """Whether what little agrees with a pose is where it should be: where the object was to go on to (at world_from_object),
-    or, while it is not known how it moves, about where it was."""
-    turn = found.motion.rotation.magnitude()
-    return is_the_same(joint, found, ahead) and bool(joint.velocity.frames or turn < FIRST_TURN)
 
 
 def _found_thoroughly(
