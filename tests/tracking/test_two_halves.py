@@ -20,11 +20,11 @@ from sylpose.methods import features_of
 from sylpose.numerics.arrays import FloatArray
 from sylpose.simulate import demo_scene
 from sylpose.tracking.camera import CameraPart
-from sylpose.tracking.find import Team
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.phases import Waiting, next_frame
+from sylpose.tracking.team import Team
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
 from tests.clips import SIZE, Clip, frame_sets

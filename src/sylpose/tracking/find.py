@@ -15,28 +15,24 @@ from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.landmarks.places import Landmarks
 from sylpose.landmarks.table import LandmarkTable
-from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import covariance_of
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.anchor import FEATURES as ANCHOR_FEATURES
 from sylpose.tracking.anchor import Followed, suffices, with_new
-from sylpose.tracking.camera import CameraPart, SeenAgain
+from sylpose.tracking.camera import SeenAgain
 from sylpose.tracking.crew import Crew
 from sylpose.tracking.frame import CameraFrame, Frame, Pair, inliers_of, still, without_background
-from sylpose.tracking.frame_solvers import Agreement, Problem, Solution, Solver
+from sylpose.tracking.frame_solvers import Agreement, Problem, Solution
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import references_of, viewpoints
 from sylpose.tracking.records import Ages, Agreed, Recognised
-from sylpose.tracking.region import polygon_mask, region_polygon
 from sylpose.tracking.relocalise import pose_of, recognised, to_try
+from sylpose.tracking.team import Region, Team
 from sylpose.two_frames.motion import motion_about
 
 __all__ = [
     "Found",
-    "Region",
-    "Team",
-    "features_of",
     "followed_from_anchor",
     "is_a_corner",
     "is_fast",
@@ -45,16 +41,9 @@ __all__ = [
     "matched",
     "on_the_move",
     "recognised_anywhere",
-    "regions_of",
     "solved_from",
-    "split",
 ]
 
-Region = FloatArray | None
-
-# Margin of the object's region, as a share of its size in the image; it grows while the object is lost, up to a
-# bound (choice).
-REGION_GROWTH, MAX_GROWTH = 0.15, 1.0
 # Features per camera that are detected where features are followed (choice).
 KLT_FEATURES = 400
 # An object that turns by more than this from frame to frame, radians, shows another side in each (measured:
@@ -74,61 +63,6 @@ NOISE, NOISE_PX = 0.03, 3.0
 # Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before
 # found (choice).
 SPEED_ROUNDS = 2
-
-
-@dataclass(frozen=True, eq=False)
-class Team:
-    """Who tracks, and how.
-
-    Attributes:
-        rig: C cameras.
-        parts: by camera, each its own: what it remembers.
-        crew: the cameras at work.
-        solve: the method.
-        follows: whether features are followed from image to image.
-        offsets: (C,) seconds by which each camera's images are later than its time stamps say.
-        seed: of the outlier rejection.
-        refines: whether frames are refined together while tracking goes on (`window`).
-    """
-
-    rig: Rig
-    parts: Sequence[CameraPart]
-    crew: Crew
-    solve: Solver
-    follows: bool
-    offsets: FloatArray
-    seed: int
-    refines: bool = False
-
-    def rng(self) -> np.random.Generator:
-        """The same outlier rejection for the same frame, whatever came before."""
-        return np.random.default_rng(self.seed)
-
-    def detect(
-        self,
-        frames: FrameSet,
-        regions: Sequence[Region] | None,
-        most: int = MAX_FEATURES,
-        *,
-        around: bool = False,
-        faint: bool = False,
-    ) -> list[Features]:
-        """By camera, each its own: the features inside the object's regions, or around them; None: anywhere. With `faint`
-        all that there are."""
-
-        def of(c: int) -> Features:
-            where = None
-            if regions is not None:
-                where = polygon_mask(regions[c], self.rig.cameras[c].size) ^ around
-            return self.parts[c].detect(frames.images[c], frames.masks[c], where, most, faint=faint)
-
-        return self.crew.each(of, long=True)
-
-    def frame(self, number: int, frames: FrameSet, features: Sequence[Features]) -> Frame:
-        """A frame to be solved, of each camera's own features."""
-        own = [frames.time if time is None else time for time in frames.times]
-        late = np.array(own) - frames.time + self.offsets
-        return Frame(number, frames.time, late, self.crew.each(lambda c: self.parts[c].frame(features[c])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,28 +97,6 @@ class Found:
     def matches(self) -> int:
         """Number of matches that agree."""
         return sum(a.matches for a in self.agreed)
-
-
-def regions_of(
-    team: Team, joint: Joint, world_from_object: RigidTransform, growth: float = REGION_GROWTH
-) -> list[Region]:
-    """By camera, each its own: the outline (k, 2) of the object at a pose, with a margin; None if out of view."""
-    points = world_from_object.apply(joint.object.points)
-    return team.crew.each(lambda c: region_polygon(team.rig.cameras[c], points, growth))
-
-
-def features_of(team: Team, seen: Sequence[CameraFrame] | Sequence[Followed]) -> list[Features]:
-    """By camera, each its own: the features of what it has."""
-    return team.crew.each(lambda c: seen[c].features)
-
-
-def split(team: Team, features: Sequence[Features], regions: Sequence[Region]) -> tuple[list[Features], list[Features]]:
-    """By camera, each its own: the features inside the regions and those outside."""
-    inside = team.crew.each(lambda c: team.parts[c].inside(features[c], regions[c]))
-    return (
-        team.crew.each(lambda c: features[c].subset(inside[c])),
-        team.crew.each(lambda c: features[c].subset(~inside[c])),
-    )
 
 
 def followed_from_anchor(

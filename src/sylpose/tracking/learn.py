@@ -15,13 +15,14 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.results import FramePose, FrameStatus, Observable, Status
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.camera import SeenAgain
-from sylpose.tracking.find import Found, Region, Team
+from sylpose.tracking.find import Found
 from sylpose.tracking.frame import Frame, Pair, SolvedFrame, triangulate
 from sylpose.tracking.joint import Joint, covariance_with_references
 from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.records import total_ages
 from sylpose.tracking.sights import usual_age
 from sylpose.tracking.start import agree, first_motion
+from sylpose.tracking.team import Region, Team
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame, shown, sightings, unsolved_frame
 from sylpose.tracking.window import is_due, refined
 from sylpose.two_frames.fit import MIN_MATCHES

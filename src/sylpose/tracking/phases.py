@@ -18,12 +18,7 @@ from sylpose.frames import FrameSet
 from sylpose.results import FrameStatus
 from sylpose.tracking.anchor import ANCHOR_SHARE, Anchor, Followed
 from sylpose.tracking.find import (
-    MAX_GROWTH,
-    REGION_GROWTH,
     Found,
-    Region,
-    Team,
-    features_of,
     followed_from_anchor,
     is_a_corner,
     is_fast,
@@ -32,15 +27,14 @@ from sylpose.tracking.find import (
     matched,
     on_the_move,
     recognised_anywhere,
-    regions_of,
     solved_from,
-    split,
 )
 from sylpose.tracking.frame import Frame, Pair, match_pair, standing
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.learn import accept_first, accepted, first_points, not_found, with_surface
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.start import FirstMotion, agree, first_motion, is_ambiguous, jitter_of
+from sylpose.tracking.team import MAX_GROWTH, REGION_GROWTH, Region, Team, features_of, regions_of, split
 from sylpose.tracking.thorough import is_doubtful, searched
 from sylpose.tracking.tracked_frame import TrackedFrame, unsolved_frame
 from sylpose.tracking.velocity import Velocity

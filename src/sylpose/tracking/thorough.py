@@ -14,11 +14,12 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.results import Status
-from sylpose.tracking.find import Found, Region, Team, is_the_same, on_the_move, regions_of, solved_from
+from sylpose.tracking.find import Found, is_the_same, on_the_move, solved_from
 from sylpose.tracking.frame import Frame, Pair
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import nearest_views, viewpoints
 from sylpose.tracking.learn import with_surface
+from sylpose.tracking.team import Region, Team, regions_of
 
 __all__ = ["is_doubtful", "searched"]
 

@@ -12,11 +12,11 @@ from sylpose.methods import FEATURES, METHODS, features_of
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.crew import OneProcess
-from sylpose.tracking.find import Team
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.phases import Waiting, finish, next_frame
+from sylpose.tracking.team import Team
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["Tracker", "track"]

@@ -18,10 +18,10 @@ from sylpose.adjustment.bundle import Bundled, Observations
 from sylpose.adjustment.sized import bundle_sized, length_is_open
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.results import Status
-from sylpose.tracking.find import Team
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import viewpoints
+from sylpose.tracking.team import Team
 
 __all__ = ["Seen", "is_due", "refined"]
 
