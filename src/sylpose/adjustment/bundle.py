@@ -21,8 +21,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.adjustment.calibration import Correction, Doubt, correction_of, doubting, relinearised, rescaled
 from sylpose.adjustment.kernels import OFFSET, Sightings
-from sylpose.adjustment.length import noise_share
-from sylpose.adjustment.problem import Fit, Problem, State, Summary
+from sylpose.adjustment.length import told_by_noise
+from sylpose.adjustment.problem import Fit, Problem, State
 from sylpose.adjustment.shared import offsets_and_surfaces, usual_surfaces
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import Status
@@ -46,9 +46,6 @@ MAX_TRIES = 8
 # (choice).
 WEAK_TURN, WEAK_RADII = np.pi, 10.0
 
-# Surfaces stay where they are believed to be when more than this share of what seems to tell where they are is noise
-# (measured: docs/benchmarks.md, "Slides").
-NOISE_SHARE = 0.3
 # Lenses that are refined are linearised so often (choice: each time leaves a hundredth of the error).
 RELINEARISED = 3
 
@@ -221,7 +218,7 @@ def bundle(
         sigma = problem.noise(e, unknown)
         fit = Fit(state, Status.TOO_FEW_MATCHES, 0, problem.weights(e, sigma), sigma, unknown)
     summary = problem.summary(fit, tied)
-    if (tied & ~stays).any() and _told_by_noise(problem, fit, summary, tied):
+    if (tied & ~stays).any() and told_by_noise(problem, fit, summary, tied):
         problem = problem.with_depths_held()
         fit = _minimise(problem, replace(fit.state, z=np.where(shared.depths, 0.0, fit.state.z)), max_rounds, on_round)
         summary = problem.summary(fit, tied)
@@ -309,14 +306,6 @@ def _minimise(problem: Problem, state: State, max_rounds: int, on_round: Callabl
         if settled and held is None and (size < WEIGHTS_SETTLED * len(state.turns) or rounds >= WEIGHTS_ROUNDS):
             held = problem.weights(e, sigma)
     return Fit(state, Status.NOT_CONVERGED, max_rounds, weights, sigma, leverage)
-
-
-def _told_by_noise(problem: Problem, fit: Fit, summary: Summary, tied: BoolArray) -> bool:
-    """Whether where the surfaces are is told by noise; so it is where nothing tells it."""
-    try:
-        return noise_share(problem, fit, summary, tied) > NOISE_SHARE
-    except np.linalg.LinAlgError:
-        return True
 
 
 def _finite(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:

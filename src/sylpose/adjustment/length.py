@@ -11,11 +11,22 @@ from sylpose.adjustment.kernels import DEPTH
 from sylpose.adjustment.problem import SIDE_RADII, Fit, Problem, State, Summary
 from sylpose.numerics.arrays import BoolArray, FloatArray
 
-__all__ = ["noise_share"]
+__all__ = ["noise_share", "told_by_noise"]
 
 
+# Surfaces stay where they are believed to be when more than this share of what seems to tell where they are is noise
+# (measured: docs/benchmarks.md, "Slides").
+NOISE_SHARE = 0.3
 # Of recordings with fewer frames, the noise of turns is drawn more than once (choice).
 ENOUGH_DRAWS = 60
+
+
+def told_by_noise(problem: Problem, fit: Fit, summary: Summary, tied: BoolArray) -> bool:
+    """Whether where the surfaces are is told by noise; so it is where nothing tells it."""
+    try:
+        return noise_share(problem, fit, summary, tied) > NOISE_SHARE
+    except np.linalg.LinAlgError:
+        return True
 
 
 def noise_share(problem: Problem, fit: Fit, summary: Summary, tied: BoolArray) -> float:
