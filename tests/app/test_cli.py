@@ -41,7 +41,7 @@ from sylpose.tracking.tracker import Tracker
 from tests.conftest import FRAMES
 from tests.where import DATA
 
-OUTPUTS = {"trajectory.tum", "trajectory.csv", "report.png", "overlay.mp4"}
+OUTPUTS = {"trajectory.tum", "trajectory.csv", "tracked.tum", "tracked.csv", "report.png", "overlay.mp4"}
 
 
 class Result:
@@ -283,17 +283,18 @@ def test_interrupt_keeps_what_is_computed(session: Path, how: signal.Signals) ->
     )
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline and process.poll() is None:
-        if (out / "trajectory.csv").exists() and (out / "trajectory.csv").read_text().count("\n") > 4:
+        if (out / "tracked.csv").exists() and (out / "tracked.csv").read_text().count("\n") > 4:
             break
         time.sleep(0.02)
     process.send_signal(how)
     _, err = process.communicate(timeout=60)
-    for name in ("trajectory.csv", "trajectory.tum"):
+    stem = "trajectory" if how == signal.SIGINT else "tracked"  # killed, it cannot say that this is the result
+    for name in (f"{stem}.csv", f"{stem}.tum"):
         assert (out / name).read_text().endswith("\n")
-    trajectory = read_trajectory(out / "trajectory.csv")
+    trajectory = read_trajectory(out / f"{stem}.csv")
     assert [frame.index for frame in trajectory] == list(range(len(trajectory)))
     assert 4 <= len(trajectory) < 1000
-    assert len(read_tum(out / "trajectory.tum")[0]) in (trajectory.solved.sum(), trajectory.solved.sum() - 1)
+    assert len(read_tum(out / f"{stem}.tum")[0]) in (trajectory.solved.sum(), trajectory.solved.sum() - 1)
     if how == signal.SIGINT:
         assert process.returncode == 130
         (sentence,) = err.strip().splitlines()

@@ -120,8 +120,8 @@ def test_an_anchor_ages_until_a_frame_has_features_of_its_own() -> None:
     assert begun().accepted(solved(1), STEP, anew=False).anchor is None
 
 
-def test_known_are_the_keyframes_the_anchor_and_the_last() -> None:
-    joint = replace(after(3), anchor=Anchor(solved(2)), keyframes=(solved(0), solved(1)))
+def test_known_are_the_keyframes_the_anchor_and_the_last_ones() -> None:
+    joint = replace(after(3), anchor=Anchor(solved(2)), keyframes=(solved(0), solved(1)), recent=(solved(3),))
     assert sorted(joint.known) == [0, 1, 2, 3]
     assert all(frame.number == number for number, frame in joint.known.items())
     assert joint.known[3] is joint.base

@@ -18,6 +18,7 @@ from sylpose.results import FrameStatus, Observable
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import arc, demo_scene
 from sylpose.tracking.frame import CameraFrame
+from sylpose.tracking.joint import RECENT
 from sylpose.tracking.region import polygon_mask, region_polygon
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker, track
@@ -398,8 +399,8 @@ def test_images_are_let_go_and_references_are_bounded(clip: Clip, monkeypatch: p
     for f in track(frames(), clip.rig, clip.boxes):
         del f
     assert len(alive) == 2 * FRAMES - 4
-    # The keyframes, the last frame and the current one, of each of three cameras.
-    assert max(references) <= 3 * (3 + 2)
+    # The keyframes, the last frames and the current one, of each of three cameras.
+    assert max(references) <= 3 * (3 + RECENT + 1)
     assert references[-1] >= 3 * 3
 
 
