@@ -97,10 +97,10 @@ def seen(residual: float, far: float, camera: Camera = RIG.cameras[0]) -> SeenAg
 
 
 def test_a_landmark_has_moved_where_the_pose_says_so() -> None:
-    assert seen(0.2, 5.0).moved == 1
-    assert seen(0.2, 1.0).moved == 0
+    assert seen(0.2, 5.0).known.moved.sum() == 1
+    assert seen(0.2, 1.0).known.moved.sum() == 0
     # A keypoint that was seen at a wrong place first stands still, and disagrees by as much as it is away.
-    assert seen(-1.01 * CLEARLY * 5.0, 5.0).moved == 0
+    assert seen(-1.01 * CLEARLY * 5.0, 5.0).known.moved.sum() == 0
     np.testing.assert_array_equal(seen(0.2, 5.0).known.origin, [[600.0, 400.0]])
 
 

@@ -33,7 +33,7 @@ from sylpose.tracking.frame import (
 )
 from sylpose.tracking.region import polygon_mask
 
-__all__ = ["CameraPart", "SeenAgain", "View", "still_of"]
+__all__ = ["CameraPart", "SeenAgain", "View", "have_moved", "still_of"]
 
 # An image, and the mask (h, w) of the object in it.
 View = tuple[Image | None, BoolArray | None]
@@ -97,22 +97,29 @@ class SeenAgain:
             return cls.none()
         known = Landmarks.concatenate([pair.landmarks for pair in inliers])
         index, sd = np.concatenate([pair.indices[:, 1] for pair in inliers]), known.depth_sd
-        order = np.lexsort([sd, index])
+        # Of landmarks that are known alike, the oldest: rounding must not decide, which is another one elsewhere.
+        order = np.lexsort((known.id, sd.astype(np.float32), index))
         _, first = np.unique(index[order], return_index=True)
         pick = order[first]
-        residual = np.concatenate([np.abs(r[w > 0]) for w, r in agreement])
-        far = away(known, np.concatenate([pair.pixels_j for pair in inliers]))
-        moved = known.moved | ((far > still_px) & (residual < CLEARLY * far))
+        moved = have_moved(inliers, known, agreement, still_px)
         ever = np.zeros(int(index.max()) + 1, bool)
         np.logical_or.at(ever, index, moved)
         # Where it was first seen is a matter of all that its feature is matched with: of the oldest.
         best = replace(known.subset(pick), moved=ever[index[pick]], origin=_oldest_origin(index, known)[index[pick]])
         return cls(inliers, index[pick], best, best.mean[sd[pick] < KNOWN_DEPTH * radius])
 
-    @property
-    def moved(self) -> int:
-        """How many of the features are known to be no background."""
-        return int(self.known.moved.sum())
+
+def have_moved(
+    inliers: Sequence[Pair], known: Landmarks, agreement: Sequence[tuple[FloatArray, FloatArray]], still_px: float
+) -> BoolArray:
+    """(n,) which of the matches that agree with a frame's pose are known to be no background: whose landmark, `known` (n),
+    has moved before, or does so now.
+
+    Args: the rest as in `SeenAgain.of`.
+    """
+    residual = np.concatenate([np.empty(0), *(np.abs(r[w > 0]) for w, r in agreement)])
+    far = away(known, np.concatenate([np.empty((0, 2)), *(pair.pixels_j for pair in inliers)]))
+    return np.asarray(known.moved | ((far > still_px) & (residual < CLEARLY * far)))
 
 
 def _oldest_origin(index: IntArray, known: Landmarks) -> FloatArray:

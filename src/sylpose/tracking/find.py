@@ -20,7 +20,7 @@ from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.anchor import FEATURES as ANCHOR_FEATURES
 from sylpose.tracking.anchor import Followed, suffices, with_new
-from sylpose.tracking.camera import SeenAgain
+from sylpose.tracking.camera import have_moved
 from sylpose.tracking.crew import Crew
 from sylpose.tracking.frame import CameraFrame, Frame, Pair, inliers_of, still, without_background
 from sylpose.tracking.frame_solvers import Agreement, Problem, Solution
@@ -234,9 +234,7 @@ def solved_from(
 
 def _is_noise(team: Team, joint: Joint, pose: RigidTransform, agreed: Sequence[Agreed]) -> bool:
     """Whether what agrees with a pose (world_from_object) does so in no camera any better than anything else would."""
-    size = joint.object.radius * np.array([camera.focal for camera in team.rig])
-    depth = np.array([camera.camera_from_world.apply(pose.translation)[2] for camera in team.rig])
-    limit = np.maximum(NOISE * size / np.maximum(depth, 1e-12), NOISE_PX)
+    limit = [max(NOISE * team.radius_px(joint, c, pose), NOISE_PX) for c in range(len(team.rig))]
     noise = np.array([a.residual_px for a in agreed])
     return bool((np.isnan(noise) | (noise > limit)).all())
 
@@ -271,7 +269,7 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
     squares = np.concatenate([np.empty(0), *(r[w > 0] ** 2 for w, r in agreement)])
     indices = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in inliers)])
     before = [pair.indices[pair.landmarks.moved, 1] for pair in pairs]
-    seen = SeenAgain.of(pairs, agreement, current.still_px, np.inf)
+    known = Landmarks.concatenate([pair.landmarks for pair in inliers])
     return Agreed(
         matches=len(indices),
         tried=sum(map(len, pairs)),
@@ -279,7 +277,7 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
         weights=tuple(float(w.sum()) for w, _ in agreement),
         ages=Ages.of(np.concatenate([np.empty(0), *(pair.seen for pair in inliers)])),
         features=len(np.unique(indices)),
-        moved=seen.moved,
+        moved=len(np.unique(indices[have_moved(inliers, known, agreement, current.still_px)])),
         tried_moved=len(np.unique(np.concatenate([np.empty(0, np.int64), *before]))),
         residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
         sees=len(current.features) > 0,

@@ -15,7 +15,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.results import FramePose, FrameStatus, Observable, Status
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.camera import SeenAgain
-from sylpose.tracking.find import Found
+from sylpose.tracking.find import Found, on_the_move
 from sylpose.tracking.frame import Frame, Pair, SolvedFrame, triangulate
 from sylpose.tracking.joint import Joint, covariance_with_references
 from sylpose.tracking.keyframes import viewpoints
@@ -28,7 +28,7 @@ from sylpose.tracking.window import is_due, refined
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.verdict import observed
 
-__all__ = ["accept_first", "accepted", "first_points", "not_found", "triangulated", "with_surface"]
+__all__ = ["accept_first", "accepted", "first_points", "not_found", "told_by_matches", "triangulated"]
 
 # One camera sees a turn and its mirror image alike, with hollow for round: an object in a box is taken to be round, and its
 # middle to be nearer than its centre by this share of its radius (choice).
@@ -212,7 +212,35 @@ def not_found(
     return joint, unsolved_frame(frames, FrameStatus.COASTING, regions, joint.object.radius, ahead, covariance)
 
 
-def with_surface(
+def told_by_matches(
+    team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequence[Pair]], guess: RigidTransform
+) -> tuple[Joint, RigidTransform | None, RigidTransform, Sequence[Sequence[Pair]]]:
+    """While nothing but boxes tells where the object's surface is, or nothing how it moves, a frame's matches may.
+
+    Args:
+        frame: that is not solved yet; pairs: by camera, each its own: its matches.
+        guess: of its pose, world_from_object.
+
+    Returns:
+        what is known by then; the pose that the matches tell, or None; that or else the guess; by camera, each its own, the
+        matches that are left: with frames that are still known, and of what is not background.
+    """
+    if not joint.object.guessed and joint.velocity.frames:
+        return joint, None, guess, pairs
+    joint, seen = _with_surface(team, joint, frame, pairs)
+
+    def on_it(c: int) -> list[Pair]:
+        known = [pair for pair in pairs[c] if pair.reference in joint.known]
+        return [pair.subset(~frame.cameras[c].background[pair.indices[:, 1]]) for pair in known]
+
+    left = team.crew.each(on_it)
+    if seen is not None and not joint.velocity.frames:
+        # The first motion: what does not take part in it is background, however much of the boxes it fills.
+        left = on_the_move(team, joint, frame, left, seen)
+    return joint, seen, guess if seen is None else seen, left
+
+
+def _with_surface(
     team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequence[Pair]]
 ) -> tuple[Joint, RigidTransform | None]:
     """What boxes allow is much deeper than the object. Epipolar geometry needs no depth: once it finds a motion since the

@@ -25,13 +25,12 @@ from sylpose.tracking.find import (
     is_the_same,
     looked_for,
     matched,
-    on_the_move,
     recognised_anywhere,
     solved_from,
 )
 from sylpose.tracking.frame import Frame, Pair, match_pair, standing
 from sylpose.tracking.joint import Joint
-from sylpose.tracking.learn import accept_first, accepted, first_points, not_found, with_surface
+from sylpose.tracking.learn import accept_first, accepted, first_points, not_found, told_by_matches
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.start import FirstMotion, agree, first_motion, is_ambiguous, jitter_of
 from sylpose.tracking.team import MAX_GROWTH, REGION_GROWTH, Region, Team, features_of, regions_of, split
@@ -140,21 +139,9 @@ def _found(
     *,
     anew: bool = True,
 ) -> tuple[Joint, Found | None]:
-    """The frame's pose, from a guess. While nothing but boxes tells where the object's surface is, its matches may."""
-    pairs = matched(team, joint, frame, guess, followed, anew=anew)
-    if joint.object.guessed or not joint.velocity.frames:
-        joint, seen = with_surface(team, joint, frame, pairs)
-
-        def on_it(c: int) -> list[Pair]:
-            known = [pair for pair in pairs[c] if pair.reference in joint.known]
-            return [pair.subset(~frame.cameras[c].background[pair.indices[:, 1]]) for pair in known]
-
-        pairs = team.crew.each(on_it)
-        if seen is not None:
-            guess = seen
-            if not joint.velocity.frames:
-                # The first motion: what does not take part in it is background, however much of the boxes it fills.
-                pairs = on_the_move(team, joint, frame, pairs, seen)
+    """The frame's pose, from a guess."""
+    matches = matched(team, joint, frame, guess, followed, anew=anew)
+    joint, _, guess, pairs = told_by_matches(team, joint, frame, matches, guess)
     found = solved_from(team, joint, frame, pairs, guess, regions, followed, anew=anew)
     if found is not None and joint.may_be_background(found.agreed):
         return replace(joint, only_still=True), None

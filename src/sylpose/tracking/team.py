@@ -77,6 +77,12 @@ class Team:
 
         return self.crew.each(of, long=True)
 
+    def radius_px(self, joint: Joint, c: int, world_from_object: RigidTransform) -> float:
+        """The object's radius in a camera's image at a pose, pixels."""
+        camera = self.rig.cameras[c]
+        depth = max(float(camera.camera_from_world.apply(world_from_object.translation)[2]), 1e-12)
+        return joint.object.radius / depth * camera.focal
+
     def frame(self, number: int, frames: FrameSet, features: Sequence[Features]) -> Frame:
         """A frame to be solved, of each camera's own features."""
         own = [frames.time if time is None else time for time in frames.times]

@@ -18,7 +18,7 @@ from sylpose.tracking.find import Found, is_the_same, on_the_move, solved_from
 from sylpose.tracking.frame import Frame, Pair
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import nearest_views, viewpoints
-from sylpose.tracking.learn import with_surface
+from sylpose.tracking.learn import told_by_matches
 from sylpose.tracking.team import Region, Team, regions_of
 
 __all__ = ["is_doubtful", "searched"]
@@ -54,12 +54,9 @@ def searched(
     """
     enriched(team, joint)
     references = references_within(team, joint, ahead)
-    pairs = team.crew.each(lambda c: team.parts[c].match(frame.cameras[c], references[c]), long=True)
-    pairs, seen = on_the_move(team, joint, frame, pairs, ahead), None
-    if joint.object.guessed or not joint.velocity.frames:
-        joint, seen = with_surface(team, joint, frame, pairs)
-        if seen is not None and not joint.velocity.frames:
-            ahead, pairs = seen, on_the_move(team, joint, frame, pairs, seen)
+    matches = team.crew.each(lambda c: team.parts[c].match(frame.cameras[c], references[c]), long=True)
+    matches = on_the_move(team, joint, frame, matches, ahead)
+    joint, seen, ahead, pairs = told_by_matches(team, joint, frame, matches, ahead)
     candidates = [solved_from(team, joint, frame, pairs, ahead, regions)]
     if joint.velocity.frames or seen is not None:
         # Where another side comes into view nothing is known for long, and what goes on as predicted may be believed.
@@ -79,19 +76,12 @@ def is_convincing(team: Team, joint: Joint, found: Found) -> bool:
     references = references_within(team, joint, pose)
     counts = team.crew.each(
         lambda c: team.parts[c].evidence(
-            frame.cameras[c], references[c][:ASKED], pose, max(SOLVED * radius_px(team, joint, c, pose), LEAST_PX)
+            frame.cameras[c], references[c][:ASKED], pose, max(SOLVED * team.radius_px(joint, c, pose), LEAST_PX)
         ),
         long=True,
     )
     there, by_chance = np.array(team.crew.ask(lambda c: counts[c])).sum(axis=0)
     return bool(there > CHOSEN + by_chance + 3.0 * np.sqrt(by_chance))
-
-
-def radius_px(team: Team, joint: Joint, c: int, pose: RigidTransform) -> float:
-    """The object's radius in a camera's image, pixels."""
-    camera = team.rig.cameras[c]
-    depth = max(float(camera.camera_from_world.apply(pose.translation)[2]), 1e-12)
-    return joint.object.radius / depth * camera.focal
 
 
 def enriched(team: Team, joint: Joint) -> None:
@@ -127,7 +117,7 @@ def found_near(
     references = references_within(team, joint, pose)
 
     def of(c: int) -> list[Pair]:
-        reach = max(share * radius_px(team, joint, c, pose), LEAST_PX)
+        reach = max(share * team.radius_px(joint, c, pose), LEAST_PX)
         return team.parts[c].match_near(frame.cameras[c], references[c], pose, reach)
 
     pairs = on_the_move(team, joint, frame, team.crew.each(of, long=True), ahead)
@@ -149,7 +139,7 @@ def worth(team: Team, joint: Joint, found: Found) -> FloatArray:
     """(C,) how much of a feature one that agrees with a pose is worth, by each camera's noise: from 1 to 0, at a noise that
     is the same for all poses."""
     pose = found.motion * joint.base.world_from_object
-    cutoff = [max(WORTHLESS * radius_px(team, joint, c, pose), WORTHLESS_PX) for c in range(len(team.rig))]
+    cutoff = [max(WORTHLESS * team.radius_px(joint, c, pose), WORTHLESS_PX) for c in range(len(team.rig))]
     noise = np.nan_to_num(np.array([a.residual_px for a in found.agreed]), nan=np.inf)
     return np.asarray(np.maximum(1.0 - (np.minimum(noise, 1e6) / cutoff) ** 2, 0.0) ** 2)
 
