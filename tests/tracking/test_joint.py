@@ -206,9 +206,11 @@ def test_what_was_missed_has_its_last_velocity_and_what_was_lost_none() -> None:
 
 
 def test_once_its_size_is_known_landmarks_are_young_again() -> None:
-    joint = replace(after(3), keyframes=(solved(0), solved(2)))
+    joint = replace(after(3), keyframes=(solved(0), solved(2)), recent=(solved(1), solved(2)))
     joint = replace(joint, object=replace(joint.object, guessed=True))
+    assert sorted(joint.known) == [0, 1, 2, 3]
     young = joint.relearnt(0.05)
+    assert list(young.known) == [0]
     assert (young.object.radius, young.object.guessed) == (0.05, False)
     # Only the first frame's pose does not follow from what the boxes told of depths.
     assert [(k.number, k.age) for k in young.keyframes] == [(0, 1.0)]

@@ -177,6 +177,7 @@ class Joint:
             object=replace(self.object, radius=radius, guessed=False),
             keyframes=(first,),
             last=first,
+            recent=(),
             anchor=Anchor(first, self.anchor.age) if kept and self.anchor is not None else None,
         )
 
