@@ -23,7 +23,7 @@ from sylpose.adjustment.calibration import Correction, Doubt, correction_of, dou
 from sylpose.adjustment.kernels import OFFSET, Sightings
 from sylpose.adjustment.length import told_by_noise
 from sylpose.adjustment.problem import Fit, Problem, State
-from sylpose.adjustment.shared import offsets_and_surfaces, usual_surfaces
+from sylpose.adjustment.shared import offsets_and_surfaces, on_surface, usual_surfaces
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import Status
 from sylpose.rig import Rig
@@ -356,15 +356,12 @@ def _sorted(seen: Observations, stays: BoolArray) -> tuple[IntArray, IntArray, S
 
 def _on_surfaces(problem: Problem, state: State) -> Problem:
     """With where each landmark was first seen from, and how far to the side of the object's origin it then was."""
-    seen, reach = problem.sightings, problem.radius
+    seen = problem.sightings
     k, viewer = seen.frame[seen.start[:-1]], seen.viewer
     back = state.turns[k].transpose(0, 2, 1)
-    toward = np.einsum("mij,mj->mi", back, problem.centers[viewer] - state.places[k])
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    centers = np.einsum("mij,mj->mi", back, problem.centers[viewer] - state.places[k])
     axes = np.einsum("mij,mkj->mki", back, problem.rotations[viewer][:, :2])
-    axes -= np.einsum("mki,mi->mk", axes, toward)[..., None] * toward[:, None]
-    aside = np.clip(np.einsum("mki,mi->mk", axes, state.points), -reach, reach)
-    across = np.column_stack([np.ones(len(aside)), aside])
+    toward, across = on_surface(state.points, centers, axes, problem.radius)
     return replace(problem, sightings=seen._replace(toward=toward, across=across))
 
 

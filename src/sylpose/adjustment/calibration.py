@@ -83,8 +83,7 @@ class Correction:
 
 def usual_doubt(rig: Rig) -> Doubt:
     """What calibrations typically leave; of a lens less where its own calibration says that it fits better than most."""
-    centers = np.array([camera.center for camera in rig])
-    apart = np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean() or 1.0
+    apart = _apart(rig)
     share = np.array([1.0 if c.error_px is None else np.clip(c.error_px / TYPICAL_PX, BEST_SHARE, 1.0) for c in rig])
     lens = np.array([FOCAL_SHARE, MIDDLE_PX, MIDDLE_PX, BEND])
     n = len(rig)
@@ -93,8 +92,7 @@ def usual_doubt(rig: Rig) -> Doubt:
 
 def with_moved(rig: Rig, doubt: Doubt, moved: Mapping[int, int]) -> tuple[Rig, Doubt]:
     """With a camera more for each that was moved, camera -> frame: the same one, that stands nobody knows quite where."""
-    centers = np.array([camera.center for camera in rig])
-    apart = np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean() or 1.0
+    apart = _apart(rig)
     which = list(moved)
     again = [replace(rig.cameras[c], name=f"{rig.cameras[c].name} from frame {frame}") for c, frame in moved.items()]
     return Rig([*rig, *again], rig.unit), Doubt(
@@ -127,11 +125,17 @@ def with_doubt(shared: Shared, rig: Rig, doubt: Doubt, *, held: bool) -> Shared:
     return Shared(mean, spread, shared.n_offsets, kind, np.ones(4), np.concatenate([shared.held, np.full(k, held)]))
 
 
+def _apart(rig: Rig) -> float:
+    """How far the cameras are from their middle, in the mean; 1 of a single one."""
+    centers = np.array([camera.center for camera in rig])
+    return float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean()) or 1.0
+
+
 def _not_common(rig: Rig, doubt: Doubt) -> FloatArray:
     """(6 C, 6 C) takes out of turns and shifts, in standard deviations, what turns and shifts all cameras as one."""
     centers, common = np.array([c.center for c in rig]), np.zeros((6 * len(rig), 6))
     middle = centers.mean(axis=0)
-    size = float(np.linalg.norm(centers - middle, axis=1).mean()) or 1.0
+    size = _apart(rig)
     for c, camera in enumerate(rig):
         # The world turned by w: X' = X + w x (X - middle), so Q' = Q exp(-w) = exp(-Q w) Q.
         common[6 * c : 6 * c + 3, :3] = -camera.rotation / doubt.turn[c]

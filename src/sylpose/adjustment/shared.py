@@ -16,7 +16,7 @@ from scipy.linalg import helmert
 from sylpose.adjustment.kernels import DEPTH, OFFSET, TURN
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["SLOPE_SD", "Shared", "offsets_and_surfaces", "usual_surfaces"]
+__all__ = ["SLOPE_SD", "SURFACE_RADII", "Shared", "offsets_and_surfaces", "on_surface", "usual_surfaces"]
 
 
 # The visible surface of an ordinary body lies so far in front of its middle, give or take what all cameras have in common
@@ -68,6 +68,25 @@ def usual_surfaces(radius: float, n_cameras: int) -> tuple[FloatArray, FloatArra
     """Mean (C,) and covariance (C, C) of how far the surfaces that cameras see are in front of the object's origin."""
     covariance = COMMON_RADII**2 * np.ones((n_cameras, n_cameras)) + OWN_RADII**2 * np.eye(n_cameras)
     return np.full(n_cameras, SURFACE_RADII * radius), radius**2 * covariance
+
+
+def on_surface(
+    points: FloatArray, centers: FloatArray, axes: FloatArray, reach: float
+) -> tuple[FloatArray, FloatArray]:
+    """What the surface that a camera sees is told by, of points (m, 3) on it; all in the object's frame.
+
+    Args:
+        centers: (m, 3) of the camera as it sees each; axes: (m, 2, 3) its x and y axis.
+        reach: no point is further to the side than this.
+
+    Returns:
+        (m, 3) unit vectors from the origin towards the camera; (m, 3) 1, and how far each point is to the right of the
+        origin and below it: what its height along that vector is linear in.
+    """
+    toward = centers / np.linalg.norm(centers, axis=1, keepdims=True)
+    aside = axes - np.einsum("mki,mi->mk", axes, toward)[..., None] * toward[:, None]
+    offset = np.clip(np.einsum("mki,mi->mk", aside, points), -reach, reach)
+    return toward, np.column_stack([np.ones(len(points)), offset])
 
 
 def offsets_and_surfaces(

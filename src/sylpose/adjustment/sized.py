@@ -11,10 +11,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.adjustment.bundle import Bundled, Observations, bundle
 from sylpose.adjustment.problem import CUTOFF
+from sylpose.adjustment.shared import SURFACE_RADII, on_surface
 from sylpose.landmarks.shape import extent_of, size_of
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.robust import biquartic_losses
@@ -45,28 +46,23 @@ def bundle_sized(
     """`bundle`; where that leaves the length of the path open, once more with the surfaces as far away as they have to be
     for all cameras to see one body."""
     found, rivals = _of_two_starts(rig, seen, world_from_object, radius, **options)
-    if len(rig) < 2 or not length_is_open(found):
-        return found
-    surfaces = _surfaces(rig, seen, found, radius)
-    if surfaces is None:
-        return found
-    sized = bundle(
-        rig, seen, found.world_from_object, radius, **{**options, "landmarks": found.landmarks, "surfaces": surfaces}
-    )
-    return replace(sized, covariance=sized.covariance + rivals)
+    surfaces = _surfaces(rig, seen, found, radius) if len(rig) > 1 and length_is_open(found) else None
+    if surfaces is not None:
+        again = {**options, "landmarks": found.landmarks, "surfaces": surfaces}
+        found = bundle(rig, seen, found.world_from_object, radius, **again)
+    return replace(found, covariance=found.covariance + rivals)
 
 
 def _of_two_starts(
     rig: Rig, seen: Observations, world_from_object: RigidTransform, radius: float, **options: Any
 ) -> tuple[Bundled, FloatArray]:
-    """`bundle` from the poses given and, if they turn little, from the same without a turn: the one that costs less."""
+    """`bundle` from the poses given and, if they turn little, from the same without a turn: the one that costs less; and by
+    what the other differs (N, 6, 6), of (w, d), where it is nearly as good."""
     found = bundle(rig, seen, world_from_object, radius, **options)
     first, none = world_from_object.rotation[0], np.zeros_like(found.covariance)
     if (world_from_object.rotation * first.inv()).magnitude().max() > SMALL_TURN:
         return found, none
-    standing = RigidTransform.from_components(
-        world_from_object.translation, Rotation.from_quat(np.tile(first.as_quat(), (len(world_from_object), 1)))
-    )
+    standing = RigidTransform.from_components(world_from_object.translation, first)
     other = bundle(rig, seen, standing, radius, **{**options, "landmarks": None})
     sigma = np.fmin(found.sigma_px, other.sigma_px)[seen.camera]
     counted = np.bincount(seen.landmark)[seen.landmark] > 1
@@ -78,35 +74,36 @@ def _of_two_starts(
         return best, none
     turn = (second.world_from_object.rotation * best.world_from_object.rotation.inv()).as_rotvec()
     off = np.hstack([turn, second.world_from_object.translation - best.world_from_object.translation])
-    rivals = off[:, :, None] * off[:, None, :]
-    return replace(best, covariance=best.covariance + rivals), rivals
+    return best, off[:, :, None] * off[:, None, :]
 
 
 def _surfaces(rig: Rig, seen: Observations, found: Bundled, radius: float) -> tuple[FloatArray, FloatArray] | None:
     """Mean (C,) and covariance (C, C) of `bundle`'s surfaces, by the body's shape; None where that says nothing."""
     first = found.world_from_object[0]
-    used = found.weights > 0
-    counts = np.bincount(seen.landmark[used], minlength=len(found.landmarks))
+    counts = np.bincount(seen.landmark[found.weights > 0], minlength=len(found.landmarks))
     camera = np.zeros(len(found.landmarks), np.int64)
     camera[seen.landmark] = seen.camera
     centers = first.inv().apply(np.array([c.center for c in rig])).reshape(-1, 3)
-    extents, heights, distances = [], np.zeros(len(rig)), np.zeros(len(rig))
-    for c, center in enumerate(centers):
-        mine = found.landmarks[(camera == c) & (counts >= 2)]
-        extents.append(extent_of(mine, center))
-        distances[c] = np.linalg.norm(center)
-        toward = center / distances[c]
-        heights[c] = _height(mine, toward, first, rig, c, radius) if len(mine) else 0.5 * radius
-    larger, sd = size_of(extents, radius)
+    of_cameras = [found.landmarks[(camera == c) & (counts >= 2)] for c in range(len(rig))]
+    larger, sd = size_of([extent_of(mine, o) for mine, o in zip(of_cameras, centers, strict=True)], radius)
     if not np.isfinite(sd):
         return None
+    axes = [c.rotation[:2] @ first.rotation.as_matrix() for c in rig]
+    heights = [_height(*own, radius) for own in zip(of_cameras, centers, axes, strict=True)]
+    distances = np.linalg.norm(centers, axis=1)
     covariance = sd**2 * np.outer(distances, distances) + (OWN_RADII * radius) ** 2 * np.eye(len(rig))
-    return heights - larger * distances, covariance
+    return np.array(heights) - larger * distances, covariance
 
 
-def _height(points: FloatArray, toward: FloatArray, first: RigidTransform, rig: Rig, c: int, radius: float) -> float:
-    """How far a camera's landmarks (n, 3) are in front of the origin, where their plane crosses its line of sight."""
-    axes = rig.cameras[c].rotation[:2] @ first.rotation.as_matrix()
-    axes = axes - np.outer(axes @ toward, toward)
-    across = np.column_stack([np.ones(len(points)), np.clip(points @ axes.T, -radius, radius)])
-    return float(np.linalg.lstsq(across, points @ toward, rcond=None)[0][0])
+def _height(points: FloatArray, center: FloatArray, axes: FloatArray, radius: float) -> float:
+    """How far a camera's landmarks (n, 3) are in front of the origin, where their plane crosses its line of sight; what is
+    usual without any.
+
+    Args:
+        center: (3,) of the camera, axes: (2, 3) its x and y axis, object's frame.
+    """
+    n = len(points)
+    if not n:
+        return SURFACE_RADII * radius
+    toward, across = on_surface(points, np.tile(center, (n, 1)), np.tile(axes, (n, 1, 1)), radius)
+    return float(np.linalg.lstsq(across, np.einsum("ni,ni->n", points, toward), rcond=None)[0][0])

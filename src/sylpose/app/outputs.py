@@ -144,17 +144,17 @@ class ObjectOutput:
                 tracks, self._rig, doubt=doubt, recalibrate=self._recalibrate, moved=moved, on_round=on_round
             )
             self.poses[:] = result.poses
-            with TrajectoryWriter(self.folder, self._rig.names, self._rig.unit, stem=PARTIAL) as smoothed:
-                for pose in self.poses:
-                    smoothed.write(pose)
             if result.correction is not None:
                 self.files.append(write_refined(self.folder, result.correction, self._rig.names))
                 self.changes += changes(result.correction, self._rig)
-            self._publish(smoothed)
+            self._publish()
         return None if result.status is Status.OK else f"Smoothing: {result.status.text}"
 
-    def _publish(self, writer: TrajectoryWriter) -> None:
-        """A writer's files, finished, as the result: each whole or not at all."""
+    def _publish(self) -> None:
+        """Writes the poses as the result: each file whole or not at all."""
+        with TrajectoryWriter(self.folder, self._rig.names, self._rig.unit, stem=PARTIAL) as writer:
+            for pose in self.poses:
+                writer.write(pose)
         for path in (writer.tum_path, writer.csv_path):
             with writing(path):
                 os.replace(path, path.with_stem(RESULT))
@@ -166,10 +166,7 @@ class ObjectOutput:
         if self._tracks is not None:
             self._tracks.close()
             if not self._published:  # interrupted, or too much to be smoothed: the result is what was tracked
-                with TrajectoryWriter(self.folder, self._rig.names, self._rig.unit, stem=PARTIAL) as tracked:
-                    for pose in self.poses:
-                        tracked.write(pose)
-                self._publish(tracked)
+                self._publish()
         if self.poses:
             with self._clock.part("plots"):
                 from sylpose.report.plots import plot_trajectory

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray, Image
-from sylpose.report.drawing import AXIS_COLORS, DARK, WHITE
+from sylpose.report.drawing import AXIS_COLORS, DARK, WHITE, polyline, write
 
 __all__ = ["draw_followed"]
 
@@ -38,9 +38,8 @@ def draw_followed(
             colour = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
             tiles.append(np.asarray(cv2.resize(colour, (max(1, round(scale * image.shape[1])), HEIGHT)), np.uint8))
             if outline is not None:
-                points = np.round(((outline + 0.5) * scale - 0.5)[:, None]).astype(np.int32)
-                cv2.polylines(tiles[-1], [points], True, AXIS_COLORS[1], 2, cv2.LINE_AA)
-        cv2.putText(tiles[-1], name, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, WHITE, 1, cv2.LINE_AA)
+                polyline(tiles[-1], (outline + 0.5) * scale - 0.5, AXIS_COLORS[1], 2, closed=True)
+        write(tiles[-1], name, (8, 22), 0.6, WHITE)
     done, data = cv2.imencode(".png", np.hstack(tiles))
     if not done:
         raise OSError(f"{path}: the picture cannot be written")

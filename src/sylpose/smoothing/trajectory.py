@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import RigidTransform, Rotation, RotationSpline
+from scipy.spatial.transform import RigidTransform, RotationSpline
 
 from sylpose.adjustment.bundle import Bundled, Observations
 from sylpose.adjustment.calibration import Correction, Doubt, with_moved
@@ -172,11 +172,7 @@ def _observable(before: Observable, open_length: bool) -> Observable:
 
 
 def _stacked(poses: Sequence[FramePose]) -> RigidTransform:
-    transforms = [pose.world_from_object for pose in poses if pose.world_from_object is not None]
-    return RigidTransform.from_components(
-        np.array([t.translation for t in transforms]),
-        Rotation.from_quat(np.array([t.rotation.as_quat() for t in transforms])),
-    )
+    return RigidTransform.concatenate([p.world_from_object for p in poses if p.world_from_object is not None])
 
 
 def _observations(frames: Sequence[Track]) -> tuple[Observations, FloatArray]:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.adjustment.bundle import Bundled, Observations
 from sylpose.adjustment.sized import bundle_sized, length_is_open
@@ -171,10 +171,7 @@ def _bundled(
         np.concatenate(landmark).astype(np.int64),
         np.concatenate([seen.image for seen in told]),
     )
-    poses = RigidTransform.from_components(
-        np.array([f.world_from_object.translation for f in frames]),
-        Rotation.from_quat(np.array([f.world_from_object.rotation.as_quat() for f in frames])),
-    )
+    poses = RigidTransform.concatenate([frame.world_from_object for frame in frames])
     times = np.array([frame.time + frame.late for frame in frames])
     bundled = bundle_sized(
         team.rig,
