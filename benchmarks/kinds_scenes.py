@@ -82,7 +82,7 @@ def h264(images: Sequence[Image], crf: int) -> list[Image]:
     """Images as a compressed video has them."""
     file = io.BytesIO()
     with av.open(file, "w", format="mp4") as video:
-        stream = video.add_stream("libx264", rate=30, options={"crf": str(crf), "preset": "veryfast"})
+        stream = video.add_stream("libx264", rate=30, options={"crf": str(crf), "preset": "veryfast", "threads": "1"})
         stream.height, stream.width = images[0].shape[:2]
         stream.pix_fmt = "yuv420p"
         for image in images:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.results import FrameStatus, Status
 from sylpose.rig import Rig
 from sylpose.tracking.camera import still_of
@@ -19,7 +19,7 @@ from sylpose.tracking.records import Moved
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.motion import motion_about
 from sylpose.two_frames.solver import fit_terms
-from sylpose.two_frames.terms import object_place
+from sylpose.two_frames.terms import TermData, object_place
 from sylpose.two_frames.verdict import observed
 
 __all__ = ["FirstMotion", "agree", "first_motion", "is_ambiguous", "jitter_of"]
@@ -44,6 +44,8 @@ OF_MOTION, OF_SURFACE = 6, 6
 SAME_SHARE, SAME_TURN = 0.6, np.radians(0.75)
 # This share of all matches goes astray, and does not mean that anything moved (choice).
 STRAY_SHARE = 0.05
+# Of what moves, residuals are no larger than this share of the displacements (choice).
+JUNK = 0.35
 # Noise of keypoints at least, pixels (choice).
 LEAST_PX = 0.15
 
@@ -144,15 +146,22 @@ def first_motion(
         return FirstMotion(fit, nowhere, nowhere, np.nan, 0, np.nan, 0, False, False, nothing, crew.each(lambda _: []))
     center, radius = object_place(data)
     fit = fit_terms(data, center, radius, [], rng)
-    agreement = dealt(fit, terms)
     told = [record for of_camera in records for record in of_camera]
+    clear = ~_junk(fit, told)
+    if 2 <= clear.sum() < len(clear):
+        # What agrees in the other cameras is what jitters most of all that stands still.
+        some = [term for term, mine in zip(data, clear, strict=True) if mine]
+        center, radius = object_place(some)
+        fit = _of_all(fit_terms(some, center, radius, [], rng), data, clear)
+    seeing, likelier = _significance(fit, told)
+    agreement = dealt(fit, terms)
     good = [
         (term.subset(w > 0), record.shift_px[w > 0]) for term, record, w in zip(data, told, fit.weights, strict=True)
     ]
     good = [(term, shift) for term, shift in good if len(term)]
     middle, size = object_place([term for term, _ in good]) if good else (nowhere, np.nan)
     displacement = np.concatenate([np.empty(0), *(shift for _, shift in good)])
-    seeing, likelier = _significance(fit, told)
+    cameras = int(seeing.sum())
     return FirstMotion(
         fit,
         center,
@@ -160,23 +169,44 @@ def first_motion(
         size,
         len(displacement),
         float(np.median(displacement)) if len(displacement) else np.nan,
-        seeing,
-        likelier and seeing >= min(2, len(rig)),
+        cameras,
+        likelier and cameras >= min(2, len(rig)),
         fit.status is Status.OK and observed(fit, size).status is Status.OK,
         nothing,
         crew.each(lambda c: inliers_of([pair for pair in moving[c] if len(pair)], [w for w, _ in agreement[c]])),
     )
 
 
-def _significance(fit: Fit, told: Sequence[Moved]) -> tuple[int, bool]:
-    """How many cameras see a motion beyond the noise of keypoints that stand still, and whether it is likelier than that the
-    matches are displaced as they are in directions of their own.
+def _junk(fit: Fit, told: Sequence[Moved]) -> BoolArray:
+    """(T,) the cameras in which a fit leaves much of the displacements of its inliers unexplained."""
+    junk = np.zeros(len(told), bool)
+    for t, (record, w, across) in enumerate(zip(told, fit.weights, fit.residuals, strict=True)):
+        good = w > 0
+        if good.any():
+            rms = float(np.sqrt(np.mean(across[good] ** 2)))
+            junk[t] = rms > JUNK * float(np.median(record.shift_px[good]))
+    return junk
+
+
+def _of_all(fit: Fit, data: Sequence[TermData], chosen: BoolArray) -> Fit:
+    """A fit to the chosen terms (T,) as one to all of them, of which the others have no inliers."""
+    weights, residuals = iter(fit.weights), iter(fit.residuals)
+    nothing = [np.zeros(len(term)) for term in data]
+    return fit.with_matches(
+        [next(weights) if mine else none for none, mine in zip(nothing, chosen, strict=True)],
+        [next(residuals) if mine else none for none, mine in zip(nothing, chosen, strict=True)],
+    )
+
+
+def _significance(fit: Fit, told: Sequence[Moved]) -> tuple[BoolArray, bool]:
+    """(T,) which cameras see a motion beyond the noise of keypoints that stand still, and whether it is likelier than that
+    the matches are displaced as they are in directions of their own.
 
     A displacement by d in any direction has the share 1 / (π √(d² - r²)) of a component r; a rigid motion, which says where
     the match's epipolar line is, has Gauss's of a residual r.
     """
-    likelier, seeing = 0.0, 0
-    for record, w, across in zip(told, fit.weights, fit.residuals, strict=True):
+    likelier, seeing = 0.0, np.zeros(len(told), bool)
+    for t, (record, w, across) in enumerate(zip(told, fit.weights, fit.residuals, strict=True)):
         good = w > 0
         if not good.any():
             continue
@@ -186,7 +216,7 @@ def _significance(fit: Fit, told: Sequence[Moved]) -> tuple[int, bool]:
         motion = np.exp(-0.5 * (r / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
         gain = float(np.log(motion / by_chance).sum()) - LIKELIER * OF_SURFACE
         far = float(np.median(shift)) > max(SIGNIFICANT_PX, SIGNIFICANT_SIGMAS * record.jitter_px)
-        seeing += bool(good.sum() >= SIGNIFICANT and far and gain > 0)
+        seeing[t] = good.sum() >= SIGNIFICANT and far and gain > 0
         likelier += gain
     return seeing, likelier > LIKELIER * OF_MOTION
 
