@@ -207,6 +207,8 @@ def test_half_of_the_cameras_covered() -> None:
     error = errors(tracked, clip.truth)
     assert error[:, 0].max() < 0.8
     assert error[12:, 0].max() < HALF_DEGREE
+    # By then it is known where the surface is, and so how far it turned.
+    assert np.degrees([np.linalg.norm(f.pose.sigma[:3]) for f in tracked[6:]]).max() < 1.0
 
 
 def leaving(frame: float) -> RigidTransform:

@@ -50,6 +50,9 @@ WAITING_BYTES = 1 << 29
 FIRST_PX = 8.0
 # A first motion of which little is seen is believed up to this turn, radians (choice).
 FIRST_TURN = np.radians(3.0)
+# While nothing but boxes tells where the object's surface is, so many frames after the first are matched with it, and every
+# `ASKED`th of the later ones (choice).
+ASKED_AT_FIRST, ASKED = 6, 4
 AMBIGUOUS = (
     "Without boxes, what moves most is tracked; something else moved nearly as much. Boxes or masks of the object would "
     "tell which of the two it is."
@@ -87,7 +90,7 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
     if joint.anchor is not None:
         followed, total, enough = followed_from_anchor(team, joint, frames, ahead, regions)
         # The first motion is not known yet: what is followed with ease may be what stands still.
-        if enough and joint.velocity.frames:
+        if enough and joint.velocity.frames and not asks_first(joint, number):
             frame = team.frame(number, frames, features_of(team, followed))
             joint, found = _found(team, joint, frame, ahead, regions, followed, anew=False)
             if found is not None and not found.matches > ANCHOR_SHARE * total:
@@ -127,6 +130,13 @@ def recover(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Jo
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
     return not_found(joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
+
+
+def asks_first(joint: Joint, number: int) -> bool:
+    """Whether a frame is matched with the first one, however well it is followed since a later one: only that tells where
+    the surface is, and until it is known a pose is hardly known either."""
+    since = number - joint.keyframes[0].number
+    return joint.object.guessed and (since <= ASKED_AT_FIRST or since % ASKED == 0)
 
 
 def _found(
