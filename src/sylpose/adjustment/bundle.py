@@ -126,6 +126,7 @@ def bundle(
     times: ArrayLike | None = None,
     offsets_sd: float | None = None,
     surfaces: tuple[ArrayLike, ArrayLike] | None = None,
+    surfaces_stay: bool = False,
     doubt: Doubt | None = None,
     recalibrate: bool = False,
     max_rounds: int = 30,
@@ -148,6 +149,7 @@ def bundle(
             object's origin, towards that camera: its landmarks lie on it give or take three radii and a slope. What is
             believed of it does not average out, so it is all that tells the length of a motion without turns; any turn
             soon tells more. None: `usual_surfaces`, those of ordinary bodies of the radius.
+        surfaces_stay: do not ask whether turns tell where the surfaces are: they stay where they are believed to be.
         doubt: what may be wrong with the calibration. It is then in the covariance, as much as the recording shows it to be
             wrong; None: nothing.
         recalibrate: estimate that as well, instead of only counting it.
@@ -211,6 +213,8 @@ def bundle(
     state = problem.with_motion(state)
     state = replace(state, points=problem.where_rays_meet(state) if given is None else given[names])
     problem = _on_surfaces(problem, state)
+    if surfaces_stay:
+        problem = problem.with_depths_held()
     if (tied & ~stays).any():
         fit = _minimise(problem, state, max_rounds, on_round)
     else:
@@ -218,7 +222,7 @@ def bundle(
         sigma = problem.noise(e, unknown)
         fit = Fit(state, Status.TOO_FEW_MATCHES, 0, problem.weights(e, sigma), sigma, unknown)
     summary = problem.summary(fit, tied)
-    if (tied & ~stays).any() and told_by_noise(problem, fit, summary, tied):
+    if not surfaces_stay and (tied & ~stays).any() and told_by_noise(problem, fit, summary, tied):
         problem = problem.with_depths_held()
         fit = _minimise(problem, replace(fit.state, z=np.where(shared.depths, 0.0, fit.state.z)), max_rounds, on_round)
         summary = problem.summary(fit, tied)

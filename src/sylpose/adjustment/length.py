@@ -17,12 +17,20 @@ __all__ = ["noise_share", "told_by_noise"]
 # Surfaces stay where they are believed to be when more than this share of what seems to tell where they are is noise
 # (measured: docs/benchmarks.md, "Slides").
 NOISE_SHARE = 0.3
+# Turns that are so many times their own noise, in the root mean square, tell more than it does: what noise would tell is not
+# computed (choice: in squares this leaves it a share of 1e-4).
+PLAIN_TURNS = 100.0
 # Of recordings with fewer frames, the noise of turns is drawn more than once (choice).
-ENOUGH_DRAWS = 60
+ENOUGH_DRAWS = 24
 
 
 def told_by_noise(problem: Problem, fit: Fit, summary: Summary, tied: BoolArray) -> bool:
     """Whether where the surfaces are is told by noise; so it is where nothing tells it."""
+    turns = fit.state.turns @ fit.state.turns[np.flatnonzero(problem.sightings.free < 0)[0]].T
+    turned = float((Rotation.from_matrix(turns[tied]).magnitude() ** 2).mean())
+    noise = float(np.trace(summary.covariance[tied, :3, :3], axis1=1, axis2=2).mean())
+    if turned > PLAIN_TURNS**2 * noise:
+        return False
     try:
         return noise_share(problem, fit, summary, tied) > NOISE_SHARE
     except np.linalg.LinAlgError:

@@ -56,20 +56,23 @@ def bundle_sized(
 def _of_two_starts(
     rig: Rig, seen: Observations, world_from_object: RigidTransform, radius: float, **options: Any
 ) -> tuple[Bundled, FloatArray]:
-    """`bundle` from the poses given and, if they turn little, from the same without a turn: the one that costs less; and by
-    what the other differs (N, 6, 6), of (w, d), where it is nearly as good."""
+    """`bundle` from the poses given and, if they turn little, from the same without a turn, which would not tell where the
+    surfaces are: the one that costs less; and by what the other differs (N, 6, 6), of (w, d), where it is nearly as good."""
     found = bundle(rig, seen, world_from_object, radius, **options)
     first, none = world_from_object.rotation[0], np.zeros_like(found.covariance)
     if (world_from_object.rotation * first.inv()).magnitude().max() > SMALL_TURN:
         return found, none
     standing = RigidTransform.from_components(world_from_object.translation, first)
-    other = bundle(rig, seen, standing, radius, **{**options, "landmarks": None})
+    other = bundle(rig, seen, standing, radius, **{**options, "landmarks": None, "surfaces_stay": True})
     sigma = np.fmin(found.sigma_px, other.sigma_px)[seen.camera]
     counted = np.bincount(seen.landmark)[seen.landmark] > 1
     costs = [
         float(biquartic_losses((b.residuals[counted] / (CUTOFF * sigma[counted])) ** 2).sum()) for b in (found, other)
     ]
-    best, second = (found, other) if costs[0] <= costs[1] else (other, found)
+    best, second = found, other
+    if costs[1] < costs[0]:
+        again = {**options, "landmarks": other.landmarks}
+        best, second = bundle(rig, seen, other.world_from_object, radius, **again), found
     if max(costs) > MUCH_BETTER * min(costs):
         return best, none
     turn = (second.world_from_object.rotation * best.world_from_object.rotation.inv()).as_rotvec()

@@ -29,7 +29,7 @@ __all__ = ["Seen", "is_due", "refined"]
 MOST = 32
 # Landmarks of one camera that are used at most, those seen most often first (choice).
 LANDMARKS = 150
-# Besides every keyframe and the first frames, one frame of so many (choice).
+# After the first frames, one of so many (choice: refined at every keyframe too, poses are hardly better).
 OFTEN = 4
 # Of fewer frames nothing is told. Of fewer than this the depths are not known well enough to be refined with the
 # poses (choice).
@@ -58,10 +58,9 @@ class Seen:
 
 
 def is_due(joint: Joint) -> bool:
-    """Whether the frame just solved is to be refined with the others: the first ones are, keyframes, and of
-    the others every `OFTEN`th."""
+    """Whether the frame just solved is to be refined with the others: the first ones are, then every `OFTEN`th."""
     since = joint.base.number - joint.keyframes[0].number
-    return since <= LEAST or since % OFTEN == 0 or joint.keyframes[-1] is joint.base
+    return since <= LEAST or since % OFTEN == 0
 
 
 def refined(team: Team, joint: Joint) -> Joint:
@@ -144,7 +143,8 @@ def _seen(team: Team, c: int, numbers: Sequence[int]) -> Seen:
     landmark = np.concatenate([np.empty(0, np.int64), *(frame.numbers for frame in frames)])
     image = np.concatenate([np.empty((0, 2)), *(frame.features.normalized for frame in frames)])
     # A landmark that two features of a frame were taken for says nothing there.
-    _, first, count = np.unique(np.column_stack([index, landmark]), axis=0, return_index=True, return_counts=True)
+    own = index * (int(landmark.max(initial=0)) + 1) + landmark
+    _, first, count = np.unique(own, return_index=True, return_counts=True)
     single = np.sort(first[count == 1])
     index, landmark, image = index[single], landmark[single], image[single]
     known, inverse, sights = np.unique(landmark, return_inverse=True, return_counts=True)
