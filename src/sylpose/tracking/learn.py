@@ -15,13 +15,13 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.results import FramePose, FrameStatus, Observable, Status
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.camera import SeenAgain
-from sylpose.tracking.find import Found, on_the_move
+from sylpose.tracking.find import Found
 from sylpose.tracking.frame import Frame, Pair, SolvedFrame, triangulate
 from sylpose.tracking.joint import Joint, covariance_with_references
 from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.records import total_ages
 from sylpose.tracking.sights import usual_age
-from sylpose.tracking.start import agree, first_motion
+from sylpose.tracking.start import FirstMotion, agree, first_motion
 from sylpose.tracking.team import Region, Team
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame, shown, sightings, unsolved_frame
 from sylpose.tracking.window import is_due, refined
@@ -227,22 +227,24 @@ def told_by_matches(
     """
     if not joint.object.guessed and joint.velocity.frames:
         return joint, None, guess, pairs
-    joint, seen = _with_surface(team, joint, frame, pairs)
+    joint, found = _with_surface(team, joint, frame, pairs)
+    seen = None if found is None else found.motion * joint.keyframes[0].world_from_object
+    guess = guess if seen is None else seen
+    if found is not None and not joint.velocity.frames:
+        # The first motion: only what is seen to take part in it tells more of it. What stands still may fill most of the
+        # boxes, and some of it would agree with a motion that is hardly another one.
+        return joint, seen, guess, found.inliers
 
     def on_it(c: int) -> list[Pair]:
         known = [pair for pair in pairs[c] if pair.reference in joint.known]
         return [pair.subset(~frame.cameras[c].background[pair.indices[:, 1]]) for pair in known]
 
-    left = team.crew.each(on_it)
-    if seen is not None and not joint.velocity.frames:
-        # The first motion: what does not take part in it is background, however much of the boxes it fills.
-        left = on_the_move(team, joint, frame, left, seen)
-    return joint, seen, guess if seen is None else seen, left
+    return joint, seen, guess, team.crew.each(on_it)
 
 
 def _with_surface(
     team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequence[Pair]]
-) -> tuple[Joint, RigidTransform | None]:
+) -> tuple[Joint, FirstMotion | None]:
     """What boxes allow is much deeper than the object. Epipolar geometry needs no depth: once it finds a motion since the
     first frame, that tells where the surface is, and the landmarks are learnt anew.
 
@@ -251,8 +253,8 @@ def _with_surface(
         pairs: by camera, each its own: its matches.
 
     Returns:
-        what is known by then; world_from_object in the frame, if it was found. If more than boxes tells where the surface
-        is, this is all that is done.
+        what is known by then; the motion, if it was found. If more than boxes tells where the surface is, this is all that
+        is done.
     """
     crew, first = team.crew, joint.keyframes[0]
     found = first_motion(crew, team.rig, pairs, first.number, team.rng())
@@ -277,10 +279,10 @@ def _with_surface(
     if found.cameras == 2 and not agree(joint.first_motion, found.motion):
         return replace(joint, first_motion=found.motion), None
     if not joint.object.guessed:
-        return joint, now
+        return joint, found
     points = np.concatenate(crew.ask(lambda c: triangulated(team, c, found.inliers[c], before, now)))
     if len(points) < MIN_POINTS:
-        return joint, now
+        return joint, found
     joint = joint.relearnt(found.radius)
 
     def learn(c: int) -> None:
@@ -288,7 +290,7 @@ def _with_surface(
         part.table.learn(part.relearnt(first.number, camera, before, points, found.radius))
 
     crew.each(learn)
-    return joint, now
+    return joint, found
 
 
 def first_points(
