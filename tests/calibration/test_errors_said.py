@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,3 +40,27 @@ def test_kept(tmp_path: Path) -> None:
     assert [c.error_px for c in calibration.load(tmp_path / "c.toml")] == [0.25, None]
     with pytest.raises(ValueError, match="error_px"):
         replace(rig.cameras[0], error_px=-1.0)
+
+
+@pytest.mark.parametrize("suffix", [".yml", ".json", ".xml"])
+def test_kept_by_opencv(tmp_path: Path, suffix: str) -> None:
+    rig = ring(2)
+    said = Rig([replace(rig.cameras[0], error_px=0.25), rig.cameras[1]])
+    calibration.save(said, tmp_path / f"c{suffix}")
+    assert [c.error_px for c in calibration.load(tmp_path / f"c{suffix}")] == [0.25, None]
+
+
+def test_opencvs_names(tmp_path: Path) -> None:
+    """One of all cameras beside them, as its calibration sample writes it, unless one says its own; what is no number is
+    an error that names the camera."""
+    path = tmp_path / "c.json"
+    calibration.save(ring(2), path)
+    data = json.loads(path.read_text())
+    data["avg_reprojection_error"] = 0.4
+    data["cameras"][1]["rms"] = 0.1
+    path.write_text(json.dumps(data))
+    assert [c.error_px for c in calibration.load(path)] == [0.4, 0.1]
+    data["cameras"][1]["rms"] = "small"
+    path.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=r"c\.json: camera .*: the reprojection error must be a number of pixels"):
+        calibration.load(path)

@@ -8,6 +8,7 @@ OpenCV has no layout of its own for a rig. Understood are a node per camera (or 
 - `R` (3x3, or a rotation vector) and `T`: the pose camera_from_world, as of cv2.solvePnP and cv2.stereoCalibrate; or
   `camera_from_world` or `world_from_camera`, 3x4 or 4x4,
 - if the lens is not of OpenCV's standard model: `fisheye: 1` or `distortion_model: fisheye`,
+- if it is known, `avg_reprojection_error`, pixels: its own, or beside the cameras one of all,
 
 or the usual other names of these (`_NAMES` below), and Multical's `calibration.json`, which keeps its `camera_poses` apart.
 """
@@ -42,6 +43,10 @@ _NAMES = {
     "camera_from_world": ("camera_from_world", "extrinsics", "extrinsic", "extrinsic_matrix"),
     "world_from_camera": ("world_from_camera",),
     "name": ("name", "camera_name"),
+    "error": (
+        *("avg_reprojection_error", "Avg_Reprojection_Error", "reprojection_error", "rms_reprojection_error"),
+        *("rms_error", "rms", "error"),
+    ),
 }
 # What tells a camera's node from others (a board, say, which has a name and a size as well).
 _TELLING = {n for k in ("matrix", "distortion", "rotation", "translation", "camera_from_world") for n in _NAMES[k]}
@@ -105,7 +110,8 @@ def read(data: dict[str, Any], path: Path) -> Rig:
     unit = data.get("unit", "")
     if not isinstance(unit, str):
         raise ValueError(f"{path}: unit must be a string, got {unit!r}")
-    return make_rig(path, [_camera(node, name, path) for name, node in nodes], unit)
+    whole = _error(data, f"{path}")
+    return make_rig(path, [_camera(node, name, path, whole) for name, node in nodes], unit)
 
 
 def to_text(rig: Rig, suffix: str) -> str:
@@ -128,6 +134,8 @@ def to_text(rig: Rig, suffix: str) -> str:
         storage.write("distortion_coefficients", camera.distortion.reshape(1, -1).copy())
         storage.write("R", pose[:3, :3].copy())
         storage.write("T", pose[:3, 3:].copy())
+        if camera.error_px is not None:
+            storage.write("avg_reprojection_error", camera.error_px)
         storage.endWriteStruct()
     storage.endWriteStruct()
     return str(storage.releaseAndGetString())
@@ -197,8 +205,9 @@ def _multical_pose(poses: dict[str, Any], name: str) -> dict[str, Any]:
     return pose if isinstance(pose, dict) else {}
 
 
-def _camera(node: dict[str, Any], name: str, path: Path) -> Camera:
+def _camera(node: dict[str, Any], name: str, path: Path, whole: float | None) -> Camera:
     where = f"{path}: camera {name}"
+    own = _error(node, where)
     size = _pick(node, "size", where)
     if size is None:
         size = [_require(node, "width", where), _require(node, "height", where)]
@@ -210,7 +219,15 @@ def _camera(node: dict[str, Any], name: str, path: Path) -> Camera:
         distortion=_require(node, "distortion", where),
         camera_from_world=_pose(node, name, path),
         lens=_lens(node, where),
+        error_px=whole if own is None else own,
     )
+
+
+def _error(node: dict[str, Any], where: str) -> float | None:
+    value = _pick(node, "error", where)
+    if value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)):
+        return value
+    raise ValueError(f"{where}: the reprojection error must be a number of pixels, got {value!r}")
 
 
 def _pose(node: dict[str, Any], name: str, path: Path) -> RigidTransform:
