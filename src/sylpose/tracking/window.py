@@ -77,13 +77,14 @@ def refined(team: Team, joint: Joint) -> Joint:
         return joint
     bundled, names = found
     joint = replace(joint, length_sd=bundled.length_sd if length_is_open(bundled) else 0.0)
-    last, off = frames[-1], _moved(frames[-1], bundled)
+    last, at = joint.base, numbers.index(joint.base.number)  # of frames that waited, it is not the last one
+    off = _moved(last, bundled.world_from_object[at])
     near = np.linalg.norm(off[:3]) < MAX_TURN and np.linalg.norm(off[3:]) < MAX_SHIFT * joint.object.radius
     if len(frames) < LEAST or bundled.status is not Status.OK or not near:
-        if not bundled.tied[-1]:
+        if not bundled.tied[at]:
             return joint
         # Two ways of using the same matches: a pose is no better known than they agree on it.
-        doubted = replace(last, covariance=_at_least(last.covariance, bundled.covariance[-1]) + np.outer(off, off))
+        doubted = replace(last, covariance=_at_least(last.covariance, bundled.covariance[at]) + np.outer(off, off))
         return joint.moved({last.number: doubted})
     poses = dict(zip(numbers, bundled.world_from_object, strict=True))
     moved = {
@@ -106,9 +107,9 @@ def refined(team: Team, joint: Joint) -> Joint:
     return joint.moved(moved)
 
 
-def _moved(last: SolvedFrame, bundled: Bundled) -> FloatArray:
-    """(6,) (w, d) by what the last frame's pose is refined."""
-    before, after = last.world_from_object, bundled.world_from_object[-1]
+def _moved(last: SolvedFrame, after: RigidTransform) -> FloatArray:
+    """(6,) (w, d) by what a frame's pose is refined."""
+    before = last.world_from_object
     turn = (after.rotation * before.rotation.inv()).as_rotvec()
     return np.concatenate([turn, after.translation - before.translation])
 
@@ -123,8 +124,8 @@ def _at_least(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _chosen(joint: Joint) -> list[SolvedFrame]:
-    """In order of time: the first keyframe, the last frame, and of the others those evenly spread among the keyframes, the
-    recent ones all."""
+    """In order of time: the first keyframe, the frame just solved, the recent ones, and of the others some that are evenly
+    spread."""
     every = {frame.number: frame for frame in (*joint.keyframes, *joint.recent, joint.base)}
     frames = [every[number] for number in sorted(every)]
     if len(frames) <= MOST:
@@ -132,7 +133,8 @@ def _chosen(joint: Joint) -> list[SolvedFrame]:
     recent = frames[-MOST // 2 :]
     older = frames[: -MOST // 2]
     spread = np.unique(np.linspace(0, len(older) - 1, MOST - len(recent)).astype(int))
-    return [older[k] for k in spread] + recent
+    chosen = {frame.number: frame for frame in (*(older[k] for k in spread), *recent, joint.base)}
+    return [chosen[number] for number in sorted(chosen)]
 
 
 def _seen(team: Team, c: int, numbers: Sequence[int]) -> Seen:
