@@ -35,8 +35,8 @@ COUNTS = 0.3
 # Cameras of fewer matches are not asked (choice).
 JUDGED = 8
 # Residuals are alike where their correlation exceeds nothing by so many standard deviations, of about 1.3 (measured: 150
-# scenes of each of ten settings of benchmarks/nees.py, 4.2 at most), and this itself: with many matches calibrations that are
-# off by a little show, too (choice).
+# scenes of each of ten settings of benchmarks/nees.py, 4.2 at most), and this itself: with many matches calibrations that
+# are off by a little show, too (choice).
 ALIKE, ALIKE_AT_LEAST = 5.0, 0.15
 # ... and what they share is more than this, pixels: less is rounding, lenses and keypoints (choice).
 ALIKE_PX = 0.1
