@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import covariance_of, forget
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig
+from sylpose.two_frames.bodies import larger_body
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.leave_out import Solved, without_faults
 from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
@@ -94,13 +96,13 @@ def estimate_motion(
         size = found_radius if radius is None else radius
         return Solved(fit_terms(terms, g, size, guess, rng), g, size)
 
-    solved = solve(data)
-    if solved.fit.status.has_pose or solved.fit.status is Status.NOT_CONVERGED:
+    solved, share = larger_body(data, solve(data), solve)
+    if share == 0.0 and solved.fit.status is not Status.TOO_FEW_MATCHES:
         solved = without_faults(data, solved, rig.names, solve)
     fit, g, size = solved
     if method in ESTIMATORS and fit.status is Status.OK:
         fit = paper_fit(method, data, fit, g, rig.names)
-    return _motion(rig, matches, data, fit, g, method, size)
+    return replace(_motion(rig, matches, data, fit, g, method, size), second=share)
 
 
 def estimate_motions(
@@ -155,6 +157,9 @@ def _motion(
         if (w > 0).any():
             residuals[term.camera] = np.sqrt(np.mean(r[w > 0] ** 2))
     fit, open_ = judged(fit, radius)
+    guess = fit.status.has_pose or len(open_) > 0
+    if fit.status.has_pose and fit.status is not Status.NO_MOTION and (fit.mixed or fit.other is not None):
+        fit, open_ = replace(fit, status=Status.MIXED if fit.mixed else Status.AMBIGUOUS), np.empty((0, 6))
     information = fit.information_without_depth if len(open_) else fit.information
     if fit.status is Status.SCALE_NOT_OBSERVABLE:
         for row in open_:
@@ -162,7 +167,7 @@ def _motion(
             information = forget(information, row)
     return Motion(
         status=fit.status,
-        motion=motion_about(center, fit.rotation, fit.shift) if fit.status.has_pose or len(open_) else None,
+        motion=motion_about(center, fit.rotation, fit.shift) if guess else None,
         center=center,
         information=information,
         covariance=covariance_of(information),
@@ -172,6 +177,8 @@ def _motion(
         method=method,
         iterations=fit.iterations,
         faults=fit.faults,
+        rival=motion_about(center, *fit.other) if fit.status is Status.AMBIGUOUS and fit.other is not None else None,
+        standing=fit.standing,
     )
 
 
