@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.matches import STILL_PX
-from sylpose.numerics.arrays import BoolArray
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.compiled import kernel
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.leave_out import Solve, Solved, solved_part
@@ -29,6 +30,8 @@ LEFT_OVER = 0.25
 ALIKE = 0.5
 # So many matches of a camera are compared, at most (choice).
 COMPARED = 100
+# Where the first is left with the same matches but for this share of them, the second has what it had (choice).
+SAME = 0.05
 # Of two bodies, one with more than this share of the other's matches might be the object as well (choice).
 AS_LARGE = 0.8
 
@@ -72,8 +75,10 @@ def larger_body(data: Sequence[TermData], solved: Solved, solve: Solve) -> Bodie
     first = solved_part(data, [~(w > 0) for w in second.fit.weights], solve)
     if first is None or first.fit.status is Status.NO_MOTION:
         return Bodies(solved, 0.0)
-    again = solved_part(data, [~(w > 0) for w in first.fit.weights], solve)
-    second = again if again is not None and again.fit.status is not Status.NO_MOTION else second
+    taken = [w > 0 for w in first.fit.weights]
+    if _count([a != b for a, b in zip(taken, inliers, strict=True)]) > SAME * _count(inliers):
+        again = solved_part(data, [~m for m in taken], solve)
+        second = again if again is not None and again.fit.status is not Status.NO_MOTION else second
     counts = [_count([w > 0 for w in s.fit.weights]) for s in (first, second)]
     larger, smaller = (first, second) if counts[0] >= counts[1] else (second, first)
     share = min(counts) / max(counts)
@@ -100,16 +105,26 @@ def _go_alike(data: Sequence[TermData], left: Sequence[BoolArray]) -> bool:
             some = np.flatnonzero(mask)
             some = some[:: 1 + len(some) // COMPARED]
             x, by = term.x[some], term.y[some] - term.x[some]
-            squares = ((x[:, None] - x) ** 2).sum(axis=2)
-            np.fill_diagonal(squares, np.inf)
-            nearest = squares.argmin(axis=1)
-            near.append(term.focal * np.linalg.norm(by - by[nearest], axis=1))
+            near.append(term.focal * np.linalg.norm(by - by[_nearest(x)], axis=1))
             far.append(term.focal * np.linalg.norm(by - np.median(by, axis=0), axis=1))
     between = np.sqrt(2.0) * float(np.median(np.concatenate(far)))
     # Of a body that shifts, any two go alike.
     displaced = [t.focal * np.linalg.norm((t.y - t.x)[m], axis=1) for t, m in zip(data, left, strict=True)]
     moved = float(np.median(np.concatenate(displaced)))
     return bool(np.median(np.concatenate(near)) < ALIKE * max(between, 0.5 * moved))
+
+
+@kernel
+def _nearest(x: FloatArray) -> IntArray:
+    """(n,) the nearest other of each point (n, 2)."""
+    out = np.zeros(len(x), np.int64)
+    for i in range(len(x)):
+        least = np.inf
+        for j in range(len(x)):
+            square = (x[i, 0] - x[j, 0]) ** 2 + (x[i, 1] - x[j, 1]) ** 2
+            if j != i and square < least:
+                least, out[i] = square, j
+    return out
 
 
 def _count(masks: Sequence[BoolArray]) -> int:

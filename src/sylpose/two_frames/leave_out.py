@@ -55,8 +55,8 @@ FEW = 4
 # Pairs of cameras whose videos may be exchanged back, at most; the share of inliers that this must lead to, and by how much
 # others must be strained more (choice).
 PAIRS, EXPLAINED, RATHER = 15, 0.85, 4.0
-# Exchanged videos strain a camera by more than this, or have it rejected (measured: ibid., 60 and more).
-TORN = 40.0
+# Exchanged videos strain all cameras together by more than this, or have one rejected (measured: ibid., 57 and more).
+TORN = 45.0
 # Two variances of so many matches are taken for one where their ratio exceeds 1 by no more than this over the root (choice).
 SCATTER = 6.5
 # Where cameras were left out none of the others is strained by more than this, or the reason is another (chi-squared of four
@@ -165,6 +165,9 @@ def exchanged(data: Sequence[TermData], solved: Solved, names: Sequence[str], so
     pairs = [(a, b) for a in range(len(data)) for b in range(a)]
     if not len(data) > 3 or len(pairs) > PAIRS:
         return None
+    if solved.fit.status.has_pose and not _rejected(data, solved.fit).any():
+        if float(np.maximum(_strains(data, solved.fit), 0.0).sum()) < TORN:
+            return None
     costs: list[float] = []
     likely: list[tuple[float, str]] = []
     best: Solved | None = None

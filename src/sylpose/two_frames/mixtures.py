@@ -62,7 +62,7 @@ def alike(stack: Stack, found: Reweighted) -> tuple[float, float, float]:
     """How alike the residuals of neighbours are: their correlation, that in its standard deviations, and their covariance,
     square pixels."""
     total, shared, pairs = 0.0, 0.0, 0
-    index, squares = np.empty(COMPARED, np.int64), np.empty(COMPARED)
+    index, nearest, squares = np.empty(COMPARED, np.int64), np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS)
     for t in range(stack.focal.shape[0]):
         first, last = stack.offsets[t], stack.offsets[t + 1]
         n, stride = 0, 1 + (last - first) // COMPARED
@@ -74,19 +74,23 @@ def alike(stack: Stack, found: Reweighted) -> tuple[float, float, float]:
             continue
         for k in range(n):
             i = index[k]
-            for j in range(n):
-                square = (stack.x[i, 0] - stack.x[index[j], 0]) ** 2 + (stack.x[i, 1] - stack.x[index[j], 1]) ** 2
+            squares[:], nearest[:] = np.inf, i
+            for k2 in range(n):
+                j = index[k2]
+                square = (stack.x[i, 0] - stack.x[j, 0]) ** 2 + (stack.x[i, 1] - stack.x[j, 1]) ** 2
                 # The same match again tells nothing.
-                squares[j] = square if square > 0.0 else np.inf
-            for _ in range(NEIGHBOURS):
-                j = 0
-                for k2 in range(1, n):
-                    j = k2 if squares[k2] < squares[j] else j
-                if squares[j] < np.inf:
-                    shared += found.across[i] * found.across[index[j]]
-                    total += found.across[i] * found.across[index[j]] / found.sigma_px[t] ** 2
+                if square < squares[NEIGHBOURS - 1] and square > 0.0:
+                    place = NEIGHBOURS - 1
+                    while place > 0 and square < squares[place - 1]:
+                        squares[place], nearest[place] = squares[place - 1], nearest[place - 1]
+                        place -= 1
+                    squares[place], nearest[place] = square, j
+            for place in range(NEIGHBOURS):
+                if squares[place] < np.inf:
+                    both = found.across[i] * found.across[nearest[place]]
+                    shared += both
+                    total += both / found.sigma_px[t] ** 2
                     pairs += 1
-                squares[j] = np.inf
     if pairs == 0:
         return 0.0, 0.0, 0.0
     return total / pairs, total / np.sqrt(pairs), shared / pairs
@@ -99,7 +103,8 @@ def is_mixed(correlation: float, deviations: float, covariance: float) -> bool:
 
 def some_move(stack: Stack, usable: BoolArray, one: Reweighted) -> bool:
     """Whether more matches have moved by a little than would if all stood still; mismatches go farther."""
-    off = ((stack.y - stack.x) ** 2).sum(axis=1) * np.repeat(stack.focal, np.diff(stack.offsets)) ** 2
+    off = np.empty(len(stack.x))
+    _displacements(stack, off)
     squares = 0.5 * off / _still_sigma(off, usable, one) ** 2
     moved = int((usable & (squares > MOVES) & (squares < NEARBY)).sum())
     return bool(moved > MOVE_BY_CHANCE * usable.sum() + MOVERS)
@@ -136,11 +141,9 @@ def parted(
         usable: (N,) matches that may be inliers.
         one: the motion of all of them, which may be none.
     """
-    counts = np.diff(stack.offsets)
-    by = (stack.y - stack.x) * np.repeat(stack.focal, counts)[:, None]
-    off = by[:, 0] ** 2 + by[:, 1] ** 2
+    off = np.empty(len(stack.x))
     background = max(MIN_MATCHES, BACKGROUND * len(off))
-    if np.count_nonzero(off < QUIET_PX**2) < background:
+    if _displacements(stack, off) < background:
         return None
     sigma = _still_sigma(off, usable, one)
     squares = 0.5 * off / sigma**2
@@ -171,6 +174,18 @@ def parted(
     told = float((moving**2)[inside].sum() / max(moving[inside].sum(), 1e-12))
     minima.costs[:] = np.inf
     return Parted(found, minima, iterations, promise, moving, told)
+
+
+@kernel
+def _displacements(stack: Stack, off: FloatArray) -> int:
+    """off (N,) becomes the squares of the displacements, square pixels; returns how many may be noise, at most."""
+    quiet = 0
+    for t in range(stack.focal.shape[0]):
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            square = (stack.y[i, 0] - stack.x[i, 0]) ** 2 + (stack.y[i, 1] - stack.x[i, 1]) ** 2
+            off[i] = square * stack.focal[t] ** 2
+            quiet += off[i] < QUIET_PX**2
+    return quiet
 
 
 def _still_sigma(off: FloatArray, usable: BoolArray, one: Reweighted) -> float:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import rotvec_of
+from sylpose.numerics.compiled import kernel, rotvec_of
 from sylpose.numerics.robust import chi_squared_bound
 from sylpose.numerics.unseen import UNSEEN_SHARE
 from sylpose.two_frames.reweight import Reweighted
@@ -56,8 +56,7 @@ class Rival(NamedTuple):
 
 def second_planes(stack: Stack, found: Reweighted) -> list[tuple[FloatArray, FloatArray]]:
     """Motions (R, d) of the second plane of each camera; none where the object is not flat, or its cameras not close."""
-    towards = stack.a2 / np.maximum(np.linalg.norm(stack.a2, axis=1, keepdims=True), 1e-300)
-    if np.linalg.norm(towards.mean(axis=0)) < CLOSE:
+    if _concentration(stack.a2) < CLOSE:
         return []
     R, d, surface = found.candidate
     out: list[tuple[FloatArray, FloatArray]] = []
@@ -77,6 +76,17 @@ def second_planes(stack: Stack, found: Reweighted) -> list[tuple[FloatArray, Flo
             turn, by = qy.T @ other[0] @ qx, qy.T @ other[1]
             out.append((turn, by - turn @ stack.a1[t] + stack.a2[t]))
     return out
+
+
+@kernel
+def _concentration(places: FloatArray) -> float:
+    """The length of the mean of the directions towards places (n, 3)."""
+    mean = np.zeros(3)
+    for t in range(len(places)):
+        length = np.sqrt(places[t, 0] ** 2 + places[t, 1] ** 2 + places[t, 2] ** 2)
+        for k in range(3):
+            mean[k] += places[t, k] / (max(length, 1e-300) * len(places))
+    return float(np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2))
 
 
 def _other_plane(H: FloatArray, normal: FloatArray, anchor: FloatArray) -> tuple[FloatArray, FloatArray] | None:

@@ -9,7 +9,7 @@ import numpy as np
 from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
-from sylpose.numerics.matrices import forget
+from sylpose.numerics.matrices import forget, transpose
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.mixtures import alike, is_mixed, parted, some_move
@@ -79,9 +79,8 @@ def fit_terms(
     freedom = int((weights > 0).sum()) - 6
     known = told * max(freedom - 2, 1) / freedom
     bent = bend(stack, may, found, radius)
-    information, without_depth = (
-        less_certain(known * _without_noise(part, noise), bent) for part in (information, without_depth)
-    )
+    both = known * _without_noise(np.stack([information, without_depth]), noise)
+    information, without_depth = less_certain(both[0], bent), less_certain(both[1], bent)
     other = None
     if stands_still(stack, found, information):
         if some_move(stack, usable, found):
@@ -113,21 +112,22 @@ def fit_terms(
 
 
 def _without_noise(information: FloatArray, noise: FloatArray) -> FloatArray:
-    """Information (6, 6) less the part that noise alone put there.
+    """Informations (k, 6, 6) less the part that noise alone put there.
 
     With both as quadratic forms in axes where the information is the identity: (1 - ν)² of each axis is left, the
     sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A trace always stays.
     """
-    largest = float(np.diag(information).max())
-    if not largest > 1e-100:
+    sizes = np.diagonal(information, axis1=1, axis2=2)
+    largest = sizes.max(axis=1, keepdims=True)
+    if not (largest > 1e-100).all():
         return information
-    unit = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-12 * largest))
-    values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
-    root = np.sqrt(np.maximum(values, 1e-14 * float(values[-1])))
-    to_identity = unit[:, None] * vectors / root
-    spoilt, axes = np.linalg.eigh(to_identity.T @ noise @ to_identity)
-    half = (vectors * root / unit[:, None]) @ axes * np.clip(1.0 - spoilt, 1e-3, 1.0)
-    return np.asarray(half @ half.T)
+    unit = 1.0 / np.sqrt(np.maximum(sizes, 1e-12 * largest))
+    values, vectors = np.linalg.eigh(information * (unit[:, :, None] * unit[:, None, :]))
+    root = np.sqrt(np.maximum(values, 1e-14 * values[:, -1:]))[:, None, :]
+    to_identity = unit[:, :, None] * vectors / root
+    spoilt, axes = np.linalg.eigh(transpose(to_identity) @ noise @ to_identity)
+    half = (vectors * root / unit[:, :, None]) @ axes * np.clip(1.0 - spoilt, 1e-3, 1.0)[:, None, :]
+    return np.asarray(half @ transpose(half))
 
 
 @kernel

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import cholesky_solve, kernel, rotvec_of
+from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, rotvec_of, solve_factored
 from sylpose.two_frames.match_cost import Matched, Tolerance, Usable, match_equations, no_equations
 from sylpose.two_frames.reweight import CUTOFF, INDEPENDENT, Reweighted, reduce_term, surface_prior
 from sylpose.two_frames.terms import ROUNDING, SURFACE, Candidate, Stack, copy_into, take_step
@@ -47,14 +47,14 @@ def bend(stack: Stack, usable: Usable, found: Reweighted, radius: float) -> Floa
         found: what `reweight` came to.
         radius: of the object: a turn moves its surface by radius times angle.
     """
-    turn = np.empty(3)
-    rotvec_of(found.candidate.rotation, turn)
-    size = float(np.hypot(radius * np.linalg.norm(turn), np.linalg.norm(found.candidate.shift)))
+    size = _unless_straight(found, radius)
+    if not size > 0:
+        return np.empty((6, 0))
     scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
     values, vectors = np.linalg.eigh(found.information * np.outer(scale, scale))
     # Of cameras in one place all lengths are open alike, and that valley is straight.
     apart = np.ptp(stack.a1, axis=0).max() > ROUNDING * np.abs(stack.a1).max()
-    if not (values[-1] > 0 and size > 0 and apart):
+    if not (values[-1] > 0 and apart):
         return np.empty((6, 0))
     sd = 1.0 / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
     columns: list[FloatArray] = []
@@ -76,6 +76,31 @@ def bend(stack: Stack, usable: Usable, found: Reweighted, radius: float) -> Floa
         if drawn < 1.0:
             columns.append(sd[k] * np.sqrt(1.0 / max(drawn, FLATTEST) - 1.0) * along)
     return np.column_stack(columns) if columns else np.empty((6, 0))
+
+
+@kernel
+def _unless_straight(found: Reweighted, radius: float) -> float:
+    """The size of the motion; 0 where no direction can be one that is followed, which is so as a rule: the sum of all
+    variances is too small for one of them."""
+    scaled, column, variance = np.empty((6, 6)), np.empty(6), 0.0
+    known, size = 0.0, 0.0
+    rotvec_of(found.candidate.rotation, column[:3])
+    for i in range(3):
+        size += (radius * column[i]) ** 2 + found.candidate.shift[i] ** 2
+    size = np.sqrt(size)
+    for i in range(6):
+        for j in range(6):
+            scaled[i, j] = found.information[i, j] / ((radius if i < 3 else 1.0) * (radius if j < 3 else 1.0))
+        known += scaled[i, i]
+    if not cholesky(scaled):
+        return size
+    for i in range(6):
+        column[:] = 0.0
+        column[i] = 1.0
+        solve_factored(scaled, column)
+        variance += column[i]
+    followed = variance > BENT * size / np.sqrt(known) and variance > (SURE * size) ** 2
+    return size if followed else 0.0
 
 
 def less_certain(information: FloatArray, columns: FloatArray) -> FloatArray:
