@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.matches import STILL_PX
-from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES
@@ -99,31 +99,37 @@ def _is_body(second: Solved | None, first: Solved) -> bool:
 
 def _go_alike(data: Sequence[TermData], left: Sequence[BoolArray]) -> bool:
     """Whether neighbours among the matches that are left over are displaced alike."""
-    near, far = [np.empty(0)], [np.empty(0)]
+    compared = []
     for term, mask in zip(data, left, strict=True):
-        if mask.any():
-            some = np.flatnonzero(mask)
-            some = some[:: 1 + len(some) // COMPARED]
-            x, by = term.x[some], term.y[some] - term.x[some]
-            near.append(term.focal * np.linalg.norm(by - by[_nearest(x)], axis=1))
-            far.append(term.focal * np.linalg.norm(by - np.median(by, axis=0), axis=1))
-    between = np.sqrt(2.0) * float(np.median(np.concatenate(far)))
+        some = np.flatnonzero(mask)
+        some = some[:: 1 + len(some) // COMPARED]
+        if len(some):
+            x = term.x[some]
+            compared.append(term.focal * _displaced(x, term.y[some] - x))
+    near, far, moved = np.median(np.concatenate(compared), axis=0).tolist()
     # Of a body that shifts, any two go alike.
-    displaced = [t.focal * np.linalg.norm((t.y - t.x)[m], axis=1) for t, m in zip(data, left, strict=True)]
-    moved = float(np.median(np.concatenate(displaced)))
-    return bool(np.median(np.concatenate(near)) < ALIKE * max(between, 0.5 * moved))
+    return bool(near < ALIKE * max(np.sqrt(2.0) * far, 0.5 * moved))
 
 
 @kernel
-def _nearest(x: FloatArray) -> IntArray:
-    """(n,) the nearest other of each point (n, 2)."""
-    out = np.zeros(len(x), np.int64)
-    for i in range(len(x)):
-        least = np.inf
-        for j in range(len(x)):
+def _displaced(x: FloatArray, by: FloatArray) -> FloatArray:
+    """(n, 3) how far displacements (n, 2) are from that of the nearest other of the points x (n, 2), from their median, and
+    from none."""
+    n = len(x)
+    out, middle = np.empty((n, 3)), np.empty(2)
+    column = np.empty(n)
+    for a in range(2):
+        column[:] = by[:, a]
+        middle[a] = np.median(column)
+    for i in range(n):
+        least, nearest = np.inf, i
+        for j in range(n):
             square = (x[i, 0] - x[j, 0]) ** 2 + (x[i, 1] - x[j, 1]) ** 2
             if j != i and square < least:
-                least, out[i] = square, j
+                least, nearest = square, j
+        out[i, 0] = np.sqrt((by[i, 0] - by[nearest, 0]) ** 2 + (by[i, 1] - by[nearest, 1]) ** 2)
+        out[i, 1] = np.sqrt((by[i, 0] - middle[0]) ** 2 + (by[i, 1] - middle[1]) ** 2)
+        out[i, 2] = np.sqrt(by[i, 0] ** 2 + by[i, 1] ** 2)
     return out
 
 

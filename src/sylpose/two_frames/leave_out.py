@@ -165,9 +165,9 @@ def exchanged(data: Sequence[TermData], solved: Solved, names: Sequence[str], so
     pairs = [(a, b) for a in range(len(data)) for b in range(a)]
     if not len(data) > 3 or len(pairs) > PAIRS:
         return None
-    if solved.fit.status.has_pose and not _rejected(data, solved.fit).any():
-        if float(np.maximum(_strains(data, solved.fit), 0.0).sum()) < TORN:
-            return None
+    torn = not solved.fit.status.has_pose or bool(_rejected(data, solved.fit).any())
+    if not torn and float(np.maximum(_strains(data, solved.fit), 0.0).sum()) < TORN:
+        return None
     costs: list[float] = []
     likely: list[tuple[float, str]] = []
     best: Solved | None = None

@@ -29,6 +29,9 @@ BENT = 0.25
 SURE = 0.05
 # Directions that are followed, at most, and steps across the valley (choice).
 FOLLOWED, STEPS = 3, 4
+# ... of which none is taken where the last promised to lower the cost by less than this: a seventh of a standard deviation
+# (choice).
+SETTLED_ACROSS = 1e-2
 # A bend is no longer than this, of the way along (choice).
 LONGEST_BEND = 0.5
 # The largest step and by how much the valley may be flatter, as shares of the motion and of its curvature (choice).
@@ -93,14 +96,14 @@ def _unless_straight(found: Reweighted, radius: float) -> float:
             scaled[i, j] = found.information[i, j] / ((radius if i < 3 else 1.0) * (radius if j < 3 else 1.0))
         known += scaled[i, i]
     if not cholesky(scaled):
-        return size
+        return float(size)
     for i in range(6):
         column[:] = 0.0
         column[i] = 1.0
         solve_factored(scaled, column)
         variance += column[i]
     followed = variance > BENT * size / np.sqrt(known) and variance > (SURE * size) ** 2
-    return size if followed else 0.0
+    return float(size) if followed else 0.0
 
 
 def less_certain(information: FloatArray, columns: FloatArray) -> FloatArray:
@@ -136,7 +139,7 @@ def settle_across(
     step[:6] = start
     # The surfaces follow in the first step.
     take_step(candidate, place, step, gains, 1.0)
-    size = 0.0
+    size, settled = 0.0, False
     for count in range(STEPS + 1):
         total[:], right[:] = 0.0, 0.0
         total[6, 6], right[6] = 1.0, -place[0]
@@ -154,7 +157,7 @@ def settle_across(
             surface_prior(stack, t, candidate.surface[t], place[0], prior)
             if not reduce_term(stack, t, candidate.surface[t], place[0], prior, equations, total, right, gains[t]):
                 return np.inf
-        if count == STEPS:
+        if settled or count == STEPS:
             break
         for i in range(6):
             size = max(size, total[i, i])
@@ -167,6 +170,10 @@ def settle_across(
         if not cholesky_solve(total, step):
             return np.inf
         take_step(candidate, place, step, gains, 1.0)
+        promise = 0.0
+        for i in range(7):
+            promise += 0.5 * right[i] * step[i]
+        settled = promise < SETTLED_ACROSS
     turned = candidate.rotation @ found.candidate.rotation.T
     rotvec_of(turned, off[:3])
     for i in range(3):
