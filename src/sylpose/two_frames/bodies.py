@@ -58,7 +58,7 @@ def larger_body(data: Sequence[TermData], solved: Solved, solve: Solve) -> Bodie
     inliers = [w > 0 for w in solved.fit.weights]
     if sum(len(t) for t in data) < (1.0 + LEFT_OVER) * _count(inliers):
         return Bodies(solved, 0.0)
-    left = [~m & (t.focal * np.linalg.norm(t.y - t.x, axis=1) > STILL_PX) for m, t in zip(inliers, data, strict=True)]
+    left = [_left_over(t.x, t.y, STILL_PX / t.focal, w) for t, w in zip(data, solved.fit.weights, strict=True)]
     # A camera all of whose matches are left over is at fault, and sees no second body.
     for mask, inlier in zip(left, inliers, strict=True):
         if inlier.sum() < MIN_MATCHES or mask.sum() < MIN_MATCHES:
@@ -101,30 +101,40 @@ def _go_alike(data: Sequence[TermData], left: Sequence[BoolArray]) -> bool:
     """Whether neighbours among the matches that are left over are displaced alike."""
     compared = []
     for term, mask in zip(data, left, strict=True):
-        some = np.flatnonzero(mask)
-        some = some[:: 1 + len(some) // COMPARED]
-        if len(some):
-            x = term.x[some]
-            compared.append(term.focal * _displaced(x, term.y[some] - x))
+        if mask.any():
+            compared.append(term.focal * _displaced(term.x, term.y, mask))
     near, far, moved = np.median(np.concatenate(compared), axis=0).tolist()
     # Of a body that shifts, any two go alike.
     return bool(near < ALIKE * max(np.sqrt(2.0) * far, 0.5 * moved))
 
 
 @kernel
-def _displaced(x: FloatArray, by: FloatArray) -> FloatArray:
-    """(n, 3) how far displacements (n, 2) are from that of the nearest other of the points x (n, 2), from their median, and
-    from none."""
-    n = len(x)
-    out, middle = np.empty((n, 3)), np.empty(2)
+def _left_over(x: FloatArray, y: FloatArray, still: float, weights: FloatArray) -> BoolArray:
+    """(n,) matches without weight that do not stand still."""
+    out = np.empty(len(x), np.bool_)
+    for i in range(len(x)):
+        out[i] = not weights[i] > 0.0 and np.hypot(y[i, 0] - x[i, 0], y[i, 1] - x[i, 1]) > still
+    return out
+
+
+@kernel
+def _displaced(x: FloatArray, y: FloatArray, mask: BoolArray) -> FloatArray:
+    """(m, 3) how far some of the masked matches are displaced otherwise than the nearest of them, than their median, and than
+    nothing."""
+    some = np.flatnonzero(mask)
+    some = some[:: 1 + len(some) // COMPARED]
+    n = len(some)
+    out, middle, by = np.empty((n, 3)), np.empty(2), np.empty((n, 2))
     column = np.empty(n)
     for a in range(2):
-        column[:] = by[:, a]
+        for i in range(n):
+            by[i, a] = y[some[i], a] - x[some[i], a]
+            column[i] = by[i, a]
         middle[a] = np.median(column)
     for i in range(n):
         least, nearest = np.inf, i
         for j in range(n):
-            square = (x[i, 0] - x[j, 0]) ** 2 + (x[i, 1] - x[j, 1]) ** 2
+            square = (x[some[i], 0] - x[some[j], 0]) ** 2 + (x[some[i], 1] - x[some[j], 1]) ** 2
             if j != i and square < least:
                 least, nearest = square, j
         out[i, 0] = np.sqrt((by[i, 0] - by[nearest, 0]) ** 2 + (by[i, 1] - by[nearest, 1]) ** 2)

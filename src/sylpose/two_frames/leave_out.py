@@ -37,18 +37,16 @@ __all__ = ["Solve", "Solved", "exchanged", "solved_part", "without_faults"]
 
 # The unknowns of a hyperplane; a camera has so many inliers at least that they tell something of it (choice).
 UNKNOWNS, ENOUGH = 4, 8
-# So many cameras are left out at most (choice).
-MOST = 8
-# So many of the most strained cameras, those that were rejected first, are left out in turn (choice).
-TRIED = 8
+# So many cameras are left out at most, and so many of the most strained, those that were rejected first, in turn (choice).
+MOST, TRIED = 8, 8
 # Cameras are asked once one is strained by more than the first, or all together by more than the second: four unknowns each
 # (measured: docs/benchmarks.md#hard-pairs, 3 % of rigs of four without a fault exceed 22).
 STRAINED, STRAINED_TOGETHER = 16.0, 26.0
 # A camera is left out where its own motion and that of the others are so much likelier than a common one: six unknowns
 # (measured: ibid.; without a fault among those asked 23 at most).
 WON = 25.0
-# Who it is is clear where leaving out any other is less likely by more than this ; with three cameras, by this,
-# since two of them always nearly agree (choice).
+# Who it is is clear where leaving out any other is less likely by this; with three cameras, two of which always nearly agree,
+# by this (choice).
 CLEARLY, CLEAR = 8.0, 60.0
 # Of more cameras than this the likeliest is left out, though another may be nearly as likely (choice).
 FEW = 4
@@ -165,8 +163,7 @@ def exchanged(data: Sequence[TermData], solved: Solved, names: Sequence[str], so
     pairs = [(a, b) for a in range(len(data)) for b in range(a)]
     if not len(data) > 3 or len(pairs) > PAIRS:
         return None
-    torn = not solved.fit.status.has_pose or bool(_rejected(data, solved.fit).any())
-    if not torn and float(np.maximum(_strains(data, solved.fit), 0.0).sum()) < TORN:
+    if np.maximum(_strains(data, solved.fit), 0.0).sum() < TORN and not _rejected(data, solved.fit).any():
         return None
     costs: list[float] = []
     likely: list[tuple[float, str]] = []

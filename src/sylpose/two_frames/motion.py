@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.matches import Matches
 from sylpose.methods import MOTION_METHODS as METHODS
@@ -102,7 +102,7 @@ def estimate_motion(
     fit, g, size = solved
     if method in ESTIMATORS and fit.status is Status.OK:
         fit = paper_fit(method, data, fit, g, rig.names)
-    return replace(_motion(rig, matches, data, fit, g, method, size), second=share)
+    return _motion(rig, matches, data, fit, g, method, size, share)
 
 
 def estimate_motions(
@@ -136,8 +136,9 @@ def estimate_motions(
 
 def motion_about(center: FloatArray, rotation: FloatArray, shift: FloatArray) -> RigidTransform:
     """X -> R (X - g) + g + d as a transform; g (3,), R (3, 3), d (3,)."""
-    turn = Rotation.from_matrix(rotation, assume_valid=True)
-    return RigidTransform.from_components(center + shift - rotation @ center, turn)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, center + shift - rotation @ center
+    return RigidTransform.from_matrix(matrix)
 
 
 def _motion(
@@ -148,6 +149,7 @@ def _motion(
     center: FloatArray,
     method: str,
     radius: float,
+    second: float = 0.0,
 ) -> Motion:
     """The public result of a fit, with what cannot be observed said."""
     inliers = [np.zeros(len(m), bool) for m in matches]
@@ -178,6 +180,7 @@ def _motion(
         iterations=fit.iterations,
         faults=fit.faults,
         rival=motion_about(center, *fit.other) if fit.status is Status.AMBIGUOUS and fit.other is not None else None,
+        second=second,
         standing=fit.standing,
     )
 

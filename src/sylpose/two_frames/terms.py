@@ -67,6 +67,12 @@ ROUNDING = 1e-9
 # Where rays go so far apart that their mean is shorter, a cone of some 36 degrees, they do (choice).
 CLOSE_RAYS = 0.95
 
+# What is believed of a surface, in radii of the object, less the 1 of its inverse depth; slopes, which are per spread, come
+# on their own (derived).
+_MEAN = np.array([OFFSET_PER_BULGE, 0.0, 0.0, -1.0, 0.0, -1.0]) * BULGE
+_SCATTER = np.array([OFFSET_SD, 1.0, 1.0, CURVATURE_SD, CURVATURE_SD, CURVATURE_SD])
+_INFORMATION = np.linalg.inv(np.outer(_MEAN, _MEAN) + np.diag(_SCATTER**2))
+
 # Others believe the same of the visible side of a body, in their own unknowns:
 # - `paper.depth_plane_kernels`: a plane without an offset, which moments about the mean do not have; any normal is as
 #   likely (slopes about 1); relief 0.3 of the points' spread, its own unknown.
@@ -232,11 +238,6 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> 
     share = np.minimum(radius / depth, 1.0)
     spread = 0.5 * share
     place_sd = _place_sd(a1, qx)
-    bulge = np.array([OFFSET_PER_BULGE, 0.0, 0.0, -1.0, 0.0, -1.0]) * BULGE
-    scatter = np.array([OFFSET_SD, 0.0, 0.0, CURVATURE_SD, CURVATURE_SD, CURVATURE_SD])
-    # In radii; slopes, which are per spread, come on their own.
-    covariance = np.outer(bulge, bulge) + np.diag(scatter**2 + np.array([0, 1, 1, 0, 0, 0]))
-    information = np.linalg.inv(covariance)
     scale = np.repeat(1.0 / share[:, None], SURFACE, axis=1)
     scale[:, 1:3] = 1.0 / (SLOPE_SD * spread[:, None])
     plane_mean = np.zeros((len(data), 3))
@@ -254,8 +255,8 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> 
         anchor=place[:, :2] / depth[:, None],
         spread=spread,
         inverse_depth=1.0 / depth,
-        surface_mean=np.eye(1, SURFACE) + share[:, None] * bulge,
-        surface_information=information[None] * scale[:, :, None] * scale[:, None, :],
+        surface_mean=np.eye(1, SURFACE) + share[:, None] * _MEAN,
+        surface_information=_INFORMATION * scale[:, :, None] * scale[:, None, :],
         place=place_sd * share,
         relief=RELIEF_SD * share,
         plane_mean=plane_mean,
@@ -296,7 +297,8 @@ def object_place(data: Sequence[TermData]) -> tuple[FloatArray, float]:
     rays = np.einsum("ti,tij->tj", np.column_stack([anchor, np.ones(len(data))]), turns)
     center = _meeting_point(centers, rays / np.linalg.norm(rays, axis=1, keepdims=True), spread)
     depths = np.abs(np.einsum("tj,tj->t", turns[:, 2], center - centers))
-    radius = 2.0 * float(np.average(spread * depths, weights=[len(term) for term in data]))
+    counts = np.array([len(term) for term in data], dtype=float)
+    radius = 2.0 * float(counts @ (spread * depths) / counts.sum())
     return center, max(radius, 1e-6 * float(np.mean(depths)))
 
 
