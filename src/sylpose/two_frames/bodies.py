@@ -119,8 +119,8 @@ def _left_over(x: FloatArray, y: FloatArray, still: float, weights: FloatArray) 
 
 @kernel
 def _displaced(x: FloatArray, y: FloatArray, mask: BoolArray) -> FloatArray:
-    """(m, 3) how far some of the masked matches are displaced otherwise than the nearest of them, than their median, and than
-    nothing."""
+    """(m, 3) how far some of the masked matches are displaced otherwise than the nearest of them, than the median of them,
+    and than nothing."""
     some = np.flatnonzero(mask)
     some = some[:: 1 + len(some) // COMPARED]
     n = len(some)

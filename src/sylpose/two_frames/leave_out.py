@@ -45,8 +45,8 @@ STRAINED, STRAINED_TOGETHER = 16.0, 26.0
 # A camera is left out where its own motion and that of the others are so much likelier than a common one: six unknowns
 # (measured: ibid.; without a fault among those asked 23 at most).
 WON = 25.0
-# Who it is is clear where leaving out any other is less likely by this; with three cameras, two of which always nearly agree,
-# by this (choice).
+# Who it is is clear where leaving out any other is less likely by this; with three cameras, two of which always nearly
+# agree, by this (choice).
 CLEARLY, CLEAR = 8.0, 60.0
 # Of more cameras than this the likeliest is left out, though another may be nearly as likely (choice).
 FEW = 4

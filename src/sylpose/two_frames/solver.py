@@ -62,7 +62,8 @@ def fit_terms(
         found, promise = (again[0], again[3]) if best else (found, promise)
     part = parted(stack, usable, found, guesses_of(guesses), rng) if usable.all() else None
     told, may = 1.0, usable.astype(float)
-    if part is not None:
+    # A mixture that does not settle says nothing against the one motion.
+    if part is not None and part.promise < CONVERGED:
         found, minima, promise, may, told = part.found, part.minima, part.promise, part.moving, part.told
         iterations += part.iterations
     (rotation, shift, _), _, weights, across, information, without_depth, noise, _, _ = found
