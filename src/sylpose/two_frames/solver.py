@@ -60,10 +60,11 @@ def fit_terms(
         iterations += again[2]
         minima, best = together(minima, again[1]), again[1].costs.min() < minima.costs.min()
         found, promise = (again[0], again[3]) if best else (found, promise)
-    part = parted(stack, usable, found, guesses_of(guesses), rng) if usable.all() else None
+    part = parted(stack, usable, found, guesses_of(guesses), rng)
     told, may = 1.0, usable.astype(float)
     # A mixture that does not settle says nothing against the one motion.
-    if part is not None and part.promise < CONVERGED:
+    part = part if part is not None and part.promise < CONVERGED else None
+    if part is not None:
         found, minima, promise, may, told = part.found, part.minima, part.promise, part.moving, part.told
         iterations += part.iterations
     (rotation, shift, _), _, weights, across, information, without_depth, noise, _, _ = found
