@@ -14,9 +14,9 @@ Source: the leave-one-out test is Chow's (Econometrica 28, 1960); its use here i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from sylpose.two_frames.terms import TermData
 __all__ = ["Solve", "Solved", "exchanged", "solved_part", "without_faults"]
 
 
-# The unknowns of a hyperplane; a camera has so many inliers at least that they tell something of it (choice).
+# Unknowns of a hyperplane, and inliers that tell something of it, at least (choice).
 UNKNOWNS, ENOUGH = 4, 8
 # So many cameras are left out at most, and so many of the most strained, those that were rejected first, in turn (choice).
 MOST, TRIED = 8, 8
@@ -55,29 +55,24 @@ FEW = 4
 PAIRS, EXPLAINED, RATHER = 15, 0.85, 4.0
 # Exchanged videos strain all cameras together by more than this, or have one rejected (measured: ibid., 57 and more).
 TORN = 45.0
-# Two variances of so many matches are taken for one where their ratio exceeds 1 by no more than this over the root (choice).
+# Two variances are taken for one where their ratio exceeds 1 by no more than this over the root of the number (choice).
 SCATTER = 6.5
-# Where cameras were left out none of the others is strained by more than this, or the reason is another (chi-squared of four
-# unknowns: once in sixty times, since all of the others are asked).
+# Where cameras were left out the others are strained by no more, or the reason is another (chi-squared of four: 1 in 60).
 AT_EASE = 12.0
 # A share of a camera's own inliers between these is neither junk nor a wrong calibration: it sees two motions (choice).
 MIXED = (0.35, 0.6)
-# Where the others agree in less than this share of their matches, two motions are about as large: nobody is to blame
-# (choice).
+# Where the others agree in less of their matches, two motions are about as large: nobody is to blame (choice).
 MAJORITY = 0.66
-# Of what agrees of a camera that was left out no more is heard where it is strained by more than this (chi-squared of four
-# unknowns: once in two thousand times).
+# What agrees of a camera that was left out is not heard where it is strained by more (chi-squared of four: 1 in 2000).
 LEFT = 20.0
-# A camera's noise is as usual while its variance exceeds that of the others by no more than so many standard deviations
-# (choice).
+# A camera's noise is as usual while its variance exceeds that of the others by no more standard deviations (choice).
 NOISIER = 3.5
 # Matches within the first distance of their epipolar lines, in standard deviations, are more than those between it and the
 # second where only noise put them there; less than such a share of a camera's matches is nothing (choice).
 NEAR, FAR, SHARE = 1.5, 4.5, 0.3
-# A camera of whose matches no more than this share are inliers was rejected as a whole (choice).
-REJECTED = 0.2
-# One that was rejected is named where so large a share of its matches are inliers of a motion of its own (choice).
-OWN = 0.6
+# A camera of whose matches no more than this share are inliers was rejected as a whole; it is named where so large a share
+# of them are inliers of a motion of its own (choice).
+REJECTED, OWN = 0.2, 0.6
 EXCHANGED = "its matches are those of camera {}: the two were exchanged"
 
 
@@ -89,7 +84,10 @@ class Solved(NamedTuple):
     radius: float
 
 
-Solve = Callable[[Sequence[TermData]], Solved]
+class Solve(Protocol):
+    """Solves terms; `near` is tried as a start."""
+
+    def __call__(self, terms: Sequence[TermData], near: Solved | None = None) -> Solved: ...
 
 
 def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str], solve: Solve) -> Solved:
@@ -117,7 +115,7 @@ def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str
     if junk:
         out = np.flatnonzero(_rejected(data, solved.fit)).tolist()
         solved = solved_part(data, [m & (i not in out) for i, m in enumerate(heard)], solve) or solved
-    unclear = False
+    unclear = None
     for _ in range(0 if junk else min((len(data) - 1) // 2, MOST)):
         found, unclear = _worst(data, heard, solved, solve)
         if found is None or found[0] in asked:
@@ -137,13 +135,14 @@ def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str
         solved, out = first, []
     if not solved.fit.status.has_pose:
         return solved
-    if unclear and not out:
-        return solved._replace(fit=replace(solved.fit, mixed=True))
-    inliers = np.array([np.count_nonzero(w) for w in solved.fit.weights])
-    matches = np.array([len(term) for term in data])
+    if unclear is not None and not out:
+        # Nobody may be at fault, but the search: it has not met what the others say.
+        again = solve(data, unclear)
+        return solved._replace(fit=replace(solved.fit, mixed=True)) if _disagree(data, again.fit) else again
     rejected = _rejected(data, solved.fit)
     rejected[out] = True
-    if not rejected.any() or inliers.sum() < MAJORITY * matches[~rejected].sum():
+    agree, could = sum(int((w > 0).sum()) for w in solved.fit.weights), np.array([len(term) for term in data])
+    if not rejected.any() or agree < MAJORITY * could[~rejected].sum():
         return solved
     for k in np.flatnonzero(rejected).tolist():
         alone = solve([data[k]]).fit
@@ -232,15 +231,14 @@ def _rejected(data: Sequence[TermData], fit: Fit) -> BoolArray:
 
 def _worst(
     data: Sequence[TermData], heard: Sequence[BoolArray], solved: Solved, solve: Solve
-) -> tuple[tuple[int, Solved] | None, bool]:
-    """The term that would rather have a motion of its own, if it is clear which one, and the solution without it; whether
-    one of them would and it is not clear which.
-
-    Judged by likelihoods: those of all others together and of the one alone, beside that of all together.
+) -> tuple[tuple[int, Solved] | None, Solved | None]:
+    """The term that would rather have a motion of its own, if it is clear which, and the solution without it; else, where one
+    would, the likeliest solution without one. Judged by likelihoods: of all others together and of the one alone, beside that
+    of all together.
     """
     cameras = sum(bool(mask.any()) for mask in heard)
     if cameras < 3 or not _disagree(data, solved.fit):
-        return None, False
+        return None, None
     # A camera may keep the solver from settling at all: any of them.
     posed = solved.fit.status.has_pose
     strains = _strains(data, solved.fit) if posed else np.full(len(data), np.inf)
@@ -255,18 +253,20 @@ def _worst(
         if rest is not None:
             costs[k], rests[k] = rest.fit.cost + solve([data[k].subset(heard[k])]).fit.cost, rest
     if not rests or not np.isfinite(min(costs.values())):
-        return None, False
+        return None, None
     best, *others = sorted(rests, key=lambda k: costs[k])
     # Where all that is left is strained, the model is not quite right, and a difference means the less.
     left = _strains(data, rests[best].fit)
     usual = max(1.0, float(np.maximum(left, 0.0).sum()) / (UNKNOWNS * (cameras - 1)))
     gain = solved.fit.cost - costs[best] if posed else np.inf
     if not (_still(data, best) or gain > WON * usual):
-        return None, False
+        return None, None
     # Of many cameras more than one may be at fault, one after the other.
     margin = (CLEARLY if cameras > 3 else CLEAR) * usual
     clear = _still(data, best) or cameras > FEW or all(costs[k] - costs[best] > margin for k in others)
-    return ((best, rests[best]), False) if clear else (None, bool(left.max() <= AT_EASE + _chance(cameras)))
+    if clear:
+        return (best, rests[best]), None
+    return None, rests[best] if left.max() <= AT_EASE + _chance(cameras) else None
 
 
 def _chance(cameras: int) -> float:

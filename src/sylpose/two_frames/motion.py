@@ -89,10 +89,13 @@ def estimate_motion(
     given = None if center is None else _place(center, rig, data)
     rng = np.random.default_rng(seed)
 
-    def solve(terms: Sequence[TermData]) -> Solved:
+    def solve(terms: Sequence[TermData], near: Solved | None = None) -> Solved:
         found_center, found_radius = object_place(terms)
         g = found_center if given is None else given
         guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
+        if near is not None:
+            turn = near.fit.rotation
+            guess.append((turn, near.fit.shift + (turn - np.eye(3)) @ (g - near.center)))
         size = found_radius if radius is None else radius
         return Solved(fit_terms(terms, g, size, guess, rng), g, size)
 
