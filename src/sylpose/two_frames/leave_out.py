@@ -232,9 +232,9 @@ def _rejected(data: Sequence[TermData], fit: Fit) -> BoolArray:
 def _worst(
     data: Sequence[TermData], heard: Sequence[BoolArray], solved: Solved, solve: Solve
 ) -> tuple[tuple[int, Solved] | None, Solved | None]:
-    """The term that would rather have a motion of its own, if it is clear which, and the solution without it; else, where one
-    would, the likeliest solution without one. Judged by likelihoods: of all others together and of the one alone, beside that
-    of all together.
+    """The term that would rather have a motion of its own, if it is clear which, and the solution without it; else, where
+    one would, the likeliest solution without one. Judged by likelihoods: of all others together and of the one alone,
+    beside that of all together.
     """
     cameras = sum(bool(mask.any()) for mask in heard)
     if cameras < 3 or not _disagree(data, solved.fit):
