@@ -35,6 +35,9 @@ class Status(Enum):
     NOT_CERTIFIED = "not certified"
     NOT_CONVERGED = "not converged"
     NOT_CONSISTENT = "no consistent motion"
+    AMBIGUOUS = "ambiguous"
+    MIXED = "more than one motion"
+    MOSTLY_STILL = "mostly still"
 
     @property
     def text(self) -> str:
@@ -57,6 +60,11 @@ _TEXTS = {
     Status.NOT_CERTIFIED: "The best of all solutions that were found; that there is no better one is not proved.",
     Status.NOT_CONVERGED: "The solver did not settle within its bound of iterations.",
     Status.NOT_CONSISTENT: "No single rigid motion explains enough of the matches.",
+    Status.AMBIGUOUS: "Two motions explain the matches about equally well, or about as many of them each, and which of them "
+    "is the object's cannot be seen.",
+    Status.MIXED: "One motion explains the matches nearly, and neighbours depart from it alike: two bodies move, or a "
+    "camera is calibrated wrongly.",
+    Status.MOSTLY_STILL: "Most matches stand still, and some move, by too little or too few to tell which are the object's.",
 }
 
 
@@ -126,7 +134,8 @@ class Motion:
     Attributes:
         status: see `Status`.
         motion: world points on the object at frame i -> at frame j, X_j = R X_i + t. None when `not status.has_pose`, but
-            for a turn that is not observable: then the best guess, of which the part in `unseen` means nothing.
+            for a turn that is not observable, of which the part in `unseen` means nothing, and for AMBIGUOUS and MIXED: then
+            the best guess.
         center: (3,) the object's centre at frame i, world; `information` refers to its displacement.
         information: (6, 6) of (w, d): R = exp(w) R̂, d the displacement of `center` (docs/conventions.md).
         covariance: (6, 6) its inverse; infinite variance along directions that nothing is known of.
@@ -138,6 +147,9 @@ class Motion:
         method: the estimator that was used.
         iterations: of the solver.
         faults: a sentence for each camera that is recognised to be at fault: its calibration, its matches or its image.
+        rival: of AMBIGUOUS, the other motion that explains the matches, or as many of them, about as well; else None.
+        second: the number of matches of a second body that moves otherwise over that of this one; 0 where none was seen.
+        standing: the share of the matches that stand still while the object moves by little.
     """
 
     status: Status
@@ -151,6 +163,9 @@ class Motion:
     method: str
     iterations: int
     faults: tuple[str, ...] = ()
+    rival: RigidTransform | None = None
+    second: float = 0.0
+    standing: float = 0.0
 
     @property
     def n_inliers(self) -> IntArray:

@@ -28,6 +28,8 @@ from tests.degenerate_scenes import (
     OK,
     SCALE,
     SIZE,
+    TURN,
+    TWOFOLD,
     UNSETTLED,
     Scene,
     check_fields,
@@ -278,13 +280,11 @@ def test_a_million_matches() -> None:
     assert float(turn) < 0.05
 
 
-@pytest.mark.parametrize("sides", [(0.6, 0.01, 0.01), (0.01, 0.01, 0.01)], ids=["long and thin", "tiny"])
-def test_a_long_thin_and_a_tiny_object_are_objects(sides: tuple[float, float, float]) -> None:
-    """Of six turns by 10 degrees each is found to less than its size, most to a third, with a covariance that fits; the one
-    that does not (a regression) is a thin box that is taken to turn otherwise about its length."""
+def test_a_tiny_object_is_an_object() -> None:
+    """Of six turns by 10 degrees each is found to less than its size, with a covariance that fits."""
     errors, squares = [], []
     for seed in range(6):
-        scene = seen(around(4), box(sides), some_motion(seed, 10.0), seed)
+        scene = seen(around(4), box((0.01, 0.01, 0.01)), some_motion(seed, 10.0), seed)
         found = within(LIMIT, scene.rig, scene.matches)
         check_fields(scene.rig, scene.matches, found)
         assert found.status is OK
@@ -296,3 +296,25 @@ def test_a_long_thin_and_a_tiny_object_are_objects(sides: tuple[float, float, fl
     assert np.sort(errors)[-2] < 3.5
     assert 2.0 < np.median(squares) < 13.0
     assert np.sort(squares)[-2] < 20.0
+
+
+def test_of_a_long_thin_object_the_turn_about_its_length_is_not_sure() -> None:
+    """A box of 60 x 1 x 1 cm, 7 px wide: what its sides slope by is no evidence. All else is found."""
+    open_ = 0
+    for seed in range(6):
+        scene = seen(around(4), box((0.6, 0.01, 0.01)), some_motion(seed, 10.0), seed)
+        found = within(LIMIT, scene.rig, scene.matches)
+        check_fields(scene.rig, scene.matches, found)
+        off = error(scene.pair, found)
+        assert shift(off) < 0.003
+        # A camera that looks along it sees the turn.
+        assert found.status in (TURN, TWOFOLD, OK)
+        if found.status is OK:
+            assert nees(off, found) < 40.0
+        elif found.status is TURN:
+            open_ += 1
+            along = found.unseen[0, :3] / np.linalg.norm(found.unseen[0, :3])
+            assert abs(along @ scene.pair.motion.rotation.apply([1.0, 0.0, 0.0])) > 0.98
+            across = off[:3] - along * (along @ off[:3])
+            assert np.rad2deg(np.linalg.norm(across)) < 0.5
+    assert open_ >= 4

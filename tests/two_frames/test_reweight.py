@@ -35,7 +35,8 @@ class Robust(NamedTuple):
 def fit_of(stack: Stack, usable: BoolArray | None = None, seed: int = 0) -> Robust:
     """Without guesses."""
     every = np.ones(len(stack.x), dtype=bool) if usable is None else usable
-    return Robust(*fitted(stack, every, guesses_of([]), np.random.default_rng(seed)))
+    fit, _, iterations, promise = fitted(stack, every, guesses_of([]), np.random.default_rng(seed))
+    return Robust(fit, iterations, promise)
 
 
 def scene(seed: int, rig: Rig, turn: float = 5.0, **options: object) -> tuple[SimulatedPair, Stack, FloatArray]:

@@ -31,6 +31,11 @@ class Fit:
             nor how curved.
         iterations: of the solver, all rounds.
         faults: a sentence for each camera that is recognised to be at fault.
+        other: (R, d) of another motion that explains the matches about as well, and is far from this one; None without.
+        mixed: whether residuals of neighbours are alike: two bodies that were taken for one, or a camera that is calibrated
+            wrongly. The motion is then neither's, and its covariance means nothing.
+        cost: negative log-likelihood of the matches, to compare fits of the same ones by.
+        standing: the share of the matches that are taken to stand still while the object moves by little.
     """
 
     status: Status
@@ -42,6 +47,10 @@ class Fit:
     information_without_depth: FloatArray
     iterations: int
     faults: tuple[str, ...] = ()
+    other: tuple[FloatArray, FloatArray] | None = None
+    mixed: bool = False
+    cost: float = np.inf
+    standing: float = 0.0
 
     def with_matches(self, weights: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> Fit:
         """The same fit, spoken of as one of other terms."""

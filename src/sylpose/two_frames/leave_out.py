@@ -3,9 +3,10 @@
 Under weak perspective the inliers of one camera lie near a hyperplane of (x, y), whatever its calibration (`seeds`). How
 much worse the common motion fits them than their own hyperplane does (`_strain`) therefore tells, at any level of noise,
 that a camera disagrees with the rest. It pulls the motion towards itself, so that others look wrong as well; where one is
-strained the fit is made again without each of the most strained, and the one whose absence leaves the others at ease is the
-one. What of its matches agrees with the others' motion as noise allows is heard again, if that is not little: then only some
-of its matches are of something else.
+strained the fit is made again without each of them, and each camera is fitted alone. The one that is left out is the one
+whose own motion and that of the others are together clearly the likeliest. Two exchanged videos are found by exchanging
+them back (`exchanged`). What of a camera's matches agrees with the others' motion as noise allows is heard again, if that is
+not little: then only some of its matches are of something else.
 
 Source: the leave-one-out test is Chow's (Econometrica 28, 1960); its use here is ours (docs/method.md).
 """
@@ -13,9 +14,9 @@ Source: the leave-one-out test is Chow's (Econometrica 28, 1960); its use here i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -24,50 +25,55 @@ from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
 from sylpose.numerics.epipolar import essential, sampson
-from sylpose.numerics.robust import BISQUARE_BOUND
 from sylpose.paper.bad_cameras import suspect_cameras
+from sylpose.results import Status
 from sylpose.two_frames.fit import Fit
-from sylpose.two_frames.reweight import CUTOFF, SIGMA_FLOOR_PX
+from sylpose.two_frames.reweight import SIGMA_FLOOR_PX
 from sylpose.two_frames.solver import FAR_PX
 from sylpose.two_frames.terms import TermData
 
-__all__ = ["Solved", "without_faults"]
+__all__ = ["Solve", "Solved", "exchanged", "solved_part", "without_faults"]
 
 
-# A camera is asked once the log-likelihood ratio (doubled, four unknowns) of its own hyperplane exceeds this, and left out
-# where that lowers those of the others, and its own, by so much together (chi-squared of four unknowns: chance exceeds it
-# once in two thousand times).
-STRAINED = 20.0
-# The unknowns of a hyperplane; a camera has so many inliers at least that they tell something of it (choice).
+# Unknowns of a hyperplane, and inliers that tell something of it, at least (choice).
 UNKNOWNS, ENOUGH = 4, 8
-# So many cameras are left out at most (choice).
-MOST = 8
-# So many of the most strained cameras are left out in turn; and of all, at most, where none of these leaves the others at
-# ease (choice).
-TRIED, TRIED_ALL = 3, 16
-# Two variances of so many matches are taken for one where their ratio exceeds 1 by no more than this over the root (choice).
+# So many cameras are left out at most, and so many of the most strained, those that were rejected first, in turn (choice).
+MOST, TRIED = 8, 8
+# Cameras are asked once one is strained by more than the first, or all together by more than the second: four unknowns each
+# (measured: docs/benchmarks.md#hard-pairs, 3 % of rigs of four without a fault exceed 22).
+STRAINED, STRAINED_TOGETHER = 16.0, 26.0
+# A camera is left out where its own motion and that of the others are so much likelier than a common one: six unknowns
+# (measured: ibid.; without a fault among those asked 23 at most).
+WON = 25.0
+# Who it is is clear where leaving out any other is less likely by this; with three cameras, two of which always nearly
+# agree, by this (choice).
+CLEARLY, CLEAR = 8.0, 60.0
+# Of more cameras than this the likeliest is left out, though another may be nearly as likely (choice).
+FEW = 4
+# Pairs of cameras whose videos may be exchanged back, at most; the share of inliers that this must lead to, and by how much
+# others must be strained more (choice).
+PAIRS, EXPLAINED, RATHER = 15, 0.85, 4.0
+# Exchanged videos strain all cameras together by more than this, or have one rejected (measured: ibid., 57 and more).
+TORN = 45.0
+# Two variances are taken for one where their ratio exceeds 1 by no more than this over the root of the number (choice).
 SCATTER = 6.5
-# With three cameras the second likeliest must be so much worse than the one that is left out: six times what a camera is
-# asked for (choice).
-CLEAR = 6.0 * STRAINED
-# Where cameras were left out none of the others is strained by more than this, or the reason is another (chi-squared of four
-# unknowns: once in sixty times, since all of the others are asked).
+# Where cameras were left out the others are strained by no more, or the reason is another (chi-squared of four: 1 in 60).
 AT_EASE = 12.0
 # A share of a camera's own inliers between these is neither junk nor a wrong calibration: it sees two motions (choice).
 MIXED = (0.35, 0.6)
-# Where the others agree in less than this share of their matches, two motions are about as large: nobody is to blame
-# (choice).
+# Where the others agree in less of their matches, two motions are about as large: nobody is to blame (choice).
 MAJORITY = 0.66
-# A camera's noise is as usual while its variance exceeds that of the others by no more than so many standard deviations
-# (choice).
+# What agrees of a camera that was left out is not heard where it is strained by more (chi-squared of four: 1 in 2000).
+LEFT = 20.0
+# A camera's noise is as usual while its variance exceeds that of the others by no more standard deviations (choice).
 NOISIER = 3.5
-# What a match that is an inlier no more costs, in squares of its noise: the bound of the bisquare's loss (derived).
-LOST = CUTOFF**2 * BISQUARE_BOUND
 # Matches within the first distance of their epipolar lines, in standard deviations, are more than those between it and the
 # second where only noise put them there; less than such a share of a camera's matches is nothing (choice).
 NEAR, FAR, SHARE = 1.5, 4.5, 0.3
-# A camera of whose matches no more than this share are inliers was rejected as a whole (choice).
-REJECTED = 0.2
+# A camera of whose matches no more than this share are inliers was rejected as a whole; it is named where so large a share
+# of them are inliers of a motion of its own (choice).
+REJECTED, OWN = 0.2, 0.6
+EXCHANGED = "its matches are those of camera {}: the two were exchanged"
 
 
 class Solved(NamedTuple):
@@ -78,7 +84,10 @@ class Solved(NamedTuple):
     radius: float
 
 
-Solve = Callable[[Sequence[TermData]], Solved]
+class Solve(Protocol):
+    """Solves terms; `near` is tried as a start."""
+
+    def __call__(self, terms: Sequence[TermData], near: Solved | None = None) -> Solved: ...
 
 
 def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str], solve: Solve) -> Solved:
@@ -97,66 +106,167 @@ def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str
     out: list[int] = []
     first = solved
     asked: set[int] = set()
-    for _ in range(min((len(data) - 1) // 2, MOST)):
-        found = _worst(data, heard, solved, solve)
+    if not _disagree(data, solved.fit):
+        return solved
+    junk = solved.fit.status.has_pose and _only_junk(data, solved.fit, solve)
+    back = None if junk else exchanged(data, solved, names, solve)
+    if back is not None:
+        return back
+    if junk:
+        out = np.flatnonzero(_rejected(data, solved.fit)).tolist()
+        solved = solved_part(data, [m & (i not in out) for i, m in enumerate(heard)], solve) or solved
+    unclear = None
+    for _ in range(0 if junk else min((len(data) - 1) // 2, MOST)):
+        found, unclear = _worst(data, heard, solved, solve)
         if found is None or found[0] in asked:
             break
         k, solved = found
         asked.add(k)
         heard[k] = _agreeing(data[k], solved)
-        again = _solved(data, heard, solve) if heard[k].any() else None
+        again = solved_part(data, heard, solve) if heard[k].any() else None
         strain = np.inf if again is None else float(_strains(data, again.fit)[k])
-        if again is not None and not (strain > STRAINED and _noisy(again.fit, k)) and (again.fit.weights[k] > 0).any():
+        if again is not None and not (strain > LEFT and _noisy(again.fit, k)) and (again.fit.weights[k] > 0).any():
             solved = again
         else:
             heard[k][:] = False
             out.append(k)
-    if out and _strains(data, solved.fit).max() > AT_EASE + _chance(len(data)):
+    if out and not junk and _strains(data, solved.fit).max() > AT_EASE + _chance(len(data)):
         # Leaving out does not explain it: all are heard.
         solved, out = first, []
     if not solved.fit.status.has_pose:
         return solved
-    inliers = np.array([np.count_nonzero(w) for w in solved.fit.weights])
-    matches = np.array([len(term) for term in data])
-    rejected = (matches >= ENOUGH) & (inliers <= REJECTED * matches)
+    if unclear is not None and not out:
+        # Nobody may be at fault, but the search: it has not met what the others say.
+        again = solve(data, unclear)
+        return solved._replace(fit=replace(solved.fit, mixed=True)) if _disagree(data, again.fit) else again
+    rejected = _rejected(data, solved.fit)
     rejected[out] = True
-    if not rejected.any() or inliers.sum() < MAJORITY * matches[~rejected].sum():
+    agree, could = sum(int((w > 0).sum()) for w in solved.fit.weights), np.array([len(term) for term in data])
+    if not rejected.any() or agree < MAJORITY * could[~rejected].sum():
         return solved
     for k in np.flatnonzero(rejected).tolist():
-        rejected[k] = not _sees_two(solve([data[k]]).fit)
+        alone = solve([data[k]]).fit
+        rejected[k] = not _sees_two(alone)
+        # It sees a motion, and not that of the others.
+        if rejected[k] and k not in out and (alone.weights[0] > 0).sum() > OWN * len(data[k]):
+            out.append(k)
     return solved._replace(fit=replace(solved.fit, faults=_named(data, solved.fit, rejected, out, names)))
+
+
+def exchanged(data: Sequence[TermData], solved: Solved, names: Sequence[str], solve: Solve) -> Solved | None:
+    """The solution with the matches of two cameras exchanged back, where these, and no other two, explain all of them.
+
+    What two exchanged cameras say is consistent: around an object they are each other's image in a turn by half of a circle.
+    So leaving out tells nothing of four cameras, two of which were exchanged.
+    """
+    pairs = [(a, b) for a in range(len(data)) for b in range(a)]
+    if not len(data) > 3 or len(pairs) > PAIRS:
+        return None
+    if np.maximum(_strains(data, solved.fit), 0.0).sum() < TORN and not _rejected(data, solved.fit).any():
+        return None
+    costs: list[float] = []
+    likely: list[tuple[float, str]] = []
+    best: Solved | None = None
+    for a, b in pairs:
+        mixed = list(data)
+        mixed[a] = replace(data[a], x=data[b].x, y=data[b].y, focal=data[b].focal)
+        mixed[b] = replace(data[b], x=data[a].x, y=data[a].y, focal=data[a].focal)
+        again = solve(mixed)
+        if not again.fit.status.has_pose or again.fit.status is Status.NO_MOTION:
+            continue
+        weights, residuals = list(again.fit.weights), list(again.fit.residuals)
+        inliers = [np.count_nonzero(w) for w in weights]
+        strains = _strains(mixed, again.fit)
+        if min(n - EXPLAINED * len(term) for n, term in zip(inliers, mixed, strict=True)) < 0:
+            continue
+        costs.append(float(np.maximum(strains, 0.0).sum()))
+        if strains.max() <= AT_EASE and costs[-1] == min(costs):
+            weights[a], weights[b], residuals[a], residuals[b] = weights[b], weights[a], residuals[b], residuals[a]
+            texts = tuple(
+                f"camera {names[data[i].camera]}: {EXCHANGED.format(names[data[k].camera])}"
+                for i, k in ((b, a), (a, b))
+            )
+            fit = replace(again.fit.with_matches(weights, residuals), faults=texts)
+            best = again._replace(fit=fit)
+        if strains.max() <= AT_EASE:
+            likely.append((costs[-1], f"cameras {names[data[b].camera]} and {names[data[a].camera]}"))
+    if best is None:
+        return None
+    if len(costs) > 1 and sorted(costs)[1] - min(costs) < RATHER:
+        # In a rig with a symmetry one exchange is as good as another.
+        pairs_said = " or of ".join(text for cost, text in sorted(likely) if cost < min(costs) + RATHER)
+        return solved._replace(
+            fit=replace(solved.fit, mixed=True, faults=(f"the videos of {pairs_said} were exchanged",))
+        )
+    return best
+
+
+def _disagree(data: Sequence[TermData], fit: Fit) -> bool:
+    """Whether the cameras do: some are strained, or rejected as a whole, or there is no answer."""
+    return not fit.status.has_pose or _are_strained(data, fit) or bool(_rejected(data, fit).any())
+
+
+def _are_strained(data: Sequence[TermData], fit: Fit) -> bool:
+    """Whether a camera is, or all are together."""
+    strains, cameras = _strains(data, fit), len(data)
+    together = float(np.maximum(strains, 0.0).sum())
+    return bool(strains.max() >= STRAINED + _chance(cameras)) or together >= STRAINED_TOGETHER * max(cameras / 4.0, 1.0)
+
+
+def _only_junk(data: Sequence[TermData], fit: Fit, solve: Solve) -> bool:
+    """Whether all that is wrong is cameras that were rejected and see no motion by themselves either."""
+    if _are_strained(data, fit):
+        return False
+    gone = _rejected(data, fit)
+    alone = [solve([data[k]]).fit.status for k in np.flatnonzero(gone).tolist()]
+    return not any(status.has_pose and status is not Status.NO_MOTION for status in alone)
+
+
+def _rejected(data: Sequence[TermData], fit: Fit) -> BoolArray:
+    """(T,) cameras hardly any of whose matches are inliers."""
+    inliers = np.array([np.count_nonzero(w) for w in fit.weights])
+    matches = np.array([len(term) for term in data])
+    return np.asarray((matches >= ENOUGH) & (inliers <= REJECTED * matches))
 
 
 def _worst(
     data: Sequence[TermData], heard: Sequence[BoolArray], solved: Solved, solve: Solve
-) -> tuple[int, Solved] | None:
-    """The term whose absence leaves the others at ease, or most so, if by more than chance; and the solution without it."""
+) -> tuple[tuple[int, Solved] | None, Solved | None]:
+    """The term that would rather have a motion of its own, if it is clear which, and the solution without it; else, where
+    one would, the likeliest solution without one. Judged by likelihoods: of all others together and of the one alone,
+    beside that of all together.
+    """
     cameras = sum(bool(mask.any()) for mask in heard)
+    if cameras < 3 or not _disagree(data, solved.fit):
+        return None, None
     # A camera may keep the solver from settling at all: any of them.
-    strains = _strains(data, solved.fit) if solved.fit.status.has_pose else np.full(len(data), np.inf)
-    if cameras < 3 or strains.max() < STRAINED + _chance(cameras):
-        return None
-    counts = np.array([(w > 0).sum() for w in solved.fit.weights])
-    ranks: dict[int, tuple[bool, float]] = {}
+    posed = solved.fit.status.has_pose
+    strains = _strains(data, solved.fit) if posed else np.full(len(data), np.inf)
+    gone = _rejected(data, solved.fit)
+    order = np.where(gone, np.inf, strains)
+    costs: dict[int, float] = {}
     rests: dict[int, Solved] = {}
-    for tried, k in enumerate(np.argsort(-strains, kind="stable")[:TRIED_ALL].tolist()):
-        if tried >= TRIED and any(eased for eased, _ in ranks.values()):
-            break
-        rest = _solved(data, [mask & (i != k) for i, mask in enumerate(heard)], solve) if heard[k].any() else None
+    for k in np.argsort(-order, kind="stable")[:TRIED].tolist():
+        if not heard[k].any():
+            continue
+        rest = solved_part(data, [mask & (i != k) for i, mask in enumerate(heard)], solve)
         if rest is not None:
-            left = _strains(data, rest.fit)
-            lost = sum(counts[i] - (w > 0).sum() for i, w in enumerate(rest.fit.weights) if i != k)
-            ranks[k], rests[k] = (bool(left.max() <= AT_EASE + _chance(cameras)), float(left.sum() + LOST * lost)), rest
-    if not ranks:
-        return None
-    best, *others = sorted(ranks, key=lambda k: (not ranks[k][0], ranks[k][1]))
-    costs = {k: cost for k, (_, cost) in ranks.items()}
+            costs[k], rests[k] = rest.fit.cost + solve([data[k].subset(heard[k])]).fit.cost, rest
+    if not rests or not np.isfinite(min(costs.values())):
+        return None, None
+    best, *others = sorted(rests, key=lambda k: costs[k])
     # Where all that is left is strained, the model is not quite right, and a difference means the less.
-    usual = max(1.0, costs[best] / (UNKNOWNS * (cameras - 1)))
-    clear = cameras > 3 or _still(data, best) or all(costs[k] - costs[best] > CLEAR * usual for k in others)
-    if not clear or strains.sum() - costs[best] < STRAINED * usual:
-        return None
-    return best, rests[best]
+    left = _strains(data, rests[best].fit)
+    usual = max(1.0, float(np.maximum(left, 0.0).sum()) / (UNKNOWNS * (cameras - 1)))
+    gain = solved.fit.cost - costs[best] if posed else np.inf
+    if not (_still(data, best) or gain > WON * usual):
+        return None, None
+    # Of many cameras more than one may be at fault, one after the other.
+    margin = (CLEARLY if cameras > 3 else CLEAR) * usual
+    clear = _still(data, best) or cameras > FEW or all(costs[k] - costs[best] > margin for k in others)
+    if clear:
+        return (best, rests[best]), None
+    return None, rests[best] if left.max() <= AT_EASE + _chance(cameras) else None
 
 
 def _chance(cameras: int) -> float:
@@ -170,7 +280,7 @@ def _still(data: Sequence[TermData], k: int) -> bool:
     return far[k] <= STILL_PX and min(far[:k] + far[k + 1 :]) > FAR_PX
 
 
-def _solved(data: Sequence[TermData], heard: Sequence[BoolArray], solve: Solve) -> Solved | None:
+def solved_part(data: Sequence[TermData], heard: Sequence[BoolArray], solve: Solve) -> Solved | None:
     """The solution of what is heard, spoken of as one of all terms; None without a pose."""
     some = [i for i, mask in enumerate(heard) if mask.any()]
     part = solve([data[i].subset(heard[i]) for i in some])

@@ -28,7 +28,11 @@ from sylpose.numerics.robust import bisquare
 from sylpose.two_frames.moments_cost import view_of
 from sylpose.two_frames.terms import SURFACE, Candidate, Stack
 
-__all__ = ["Equations", "Matched", "Tolerance", "match_equations", "matched", "no_equations", "no_matched"]
+__all__ = ["Equations", "Matched", "Tolerance", "Usable", "match_equations", "matched", "no_equations", "no_matched"]
+
+
+# Matches that may have a weight, or with which probability.
+Usable = BoolArray | FloatArray
 
 
 class Tolerance(NamedTuple):
@@ -106,14 +110,15 @@ def matched(
     t: int,
     candidate: Candidate,
     tolerance: Tolerance,
-    usable: BoolArray | None = None,
+    usable: Usable | None = None,
     *,
     noise: bool = True,
 ) -> tuple[Matched, Equations]:
     """`match_equations` of term t; of `Matched`, its own matches."""
     n = len(stack.x)
     matches, equations = no_matched(n), no_equations(noise)
-    match_equations(stack, t, np.ones(n, bool) if usable is None else usable, candidate, tolerance, matches, equations)
+    some = np.ones(n) if usable is None else usable.astype(np.float64)
+    match_equations(stack, t, some, candidate, tolerance, matches, equations)
     mine = slice(stack.offsets[t], stack.offsets[t + 1])
     return Matched(*(values[mine] for values in matches)), equations
 
@@ -122,7 +127,7 @@ def matched(
 def match_equations(
     stack: Stack,
     t: int,
-    usable: BoolArray,
+    usable: Usable,
     candidate: Candidate,
     tolerance: Tolerance,
     matches: Matched,
@@ -131,7 +136,7 @@ def match_equations(
     """Where the matches of term t are and what they say of the motion.
 
     Args:
-        usable: (N,) matches that may have a weight.
+        usable: (N,) matches that may have a weight, or the probability of each that it is one of them.
         candidate: with quadrics as surfaces.
         matches: of all terms; the term's own part is filled.
         equations: filled.
@@ -190,7 +195,7 @@ def match_equations(
         parallax[i] = length / np.sqrt(noise_b)
         spare = (relief * length) ** 2
         distance[i] = across[i] ** 2 / variance + off * off / (variance * noise_b + spare)
-        weights[i] = bisquare(distance[i] / (cutoff * cutoff)) if usable[i] else 0.0
+        weights[i] = usable[i] * bisquare(distance[i] / (cutoff * cutoff))
         if not weights[i] > 0.0:
             continue
         # Along the line: where the surface puts it.

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.matches import Matches
 from sylpose.methods import MOTION_METHODS as METHODS
@@ -15,6 +16,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import covariance_of, forget
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig
+from sylpose.two_frames.bodies import larger_body
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.leave_out import Solved, without_faults
 from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
@@ -87,20 +89,23 @@ def estimate_motion(
     given = None if center is None else _place(center, rig, data)
     rng = np.random.default_rng(seed)
 
-    def solve(terms: Sequence[TermData]) -> Solved:
+    def solve(terms: Sequence[TermData], near: Solved | None = None) -> Solved:
         found_center, found_radius = object_place(terms)
         g = found_center if given is None else given
         guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
+        if near is not None:
+            turn = near.fit.rotation
+            guess.append((turn, near.fit.shift + (turn - np.eye(3)) @ (g - near.center)))
         size = found_radius if radius is None else radius
         return Solved(fit_terms(terms, g, size, guess, rng), g, size)
 
-    solved = solve(data)
-    if solved.fit.status.has_pose or solved.fit.status is Status.NOT_CONVERGED:
+    solved, share = larger_body(data, solve(data), solve)
+    if share == 0.0 and solved.fit.status is not Status.TOO_FEW_MATCHES:
         solved = without_faults(data, solved, rig.names, solve)
     fit, g, size = solved
     if method in ESTIMATORS and fit.status is Status.OK:
         fit = paper_fit(method, data, fit, g, rig.names)
-    return _motion(rig, matches, data, fit, g, method, size)
+    return _motion(rig, matches, data, fit, g, method, size, share)
 
 
 def estimate_motions(
@@ -134,8 +139,9 @@ def estimate_motions(
 
 def motion_about(center: FloatArray, rotation: FloatArray, shift: FloatArray) -> RigidTransform:
     """X -> R (X - g) + g + d as a transform; g (3,), R (3, 3), d (3,)."""
-    turn = Rotation.from_matrix(rotation, assume_valid=True)
-    return RigidTransform.from_components(center + shift - rotation @ center, turn)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, center + shift - rotation @ center
+    return RigidTransform.from_matrix(matrix)
 
 
 def _motion(
@@ -146,6 +152,7 @@ def _motion(
     center: FloatArray,
     method: str,
     radius: float,
+    second: float = 0.0,
 ) -> Motion:
     """The public result of a fit, with what cannot be observed said."""
     inliers = [np.zeros(len(m), bool) for m in matches]
@@ -155,6 +162,9 @@ def _motion(
         if (w > 0).any():
             residuals[term.camera] = np.sqrt(np.mean(r[w > 0] ** 2))
     fit, open_ = judged(fit, radius)
+    guess = fit.status.has_pose or len(open_) > 0
+    if fit.status.has_pose and fit.status is not Status.NO_MOTION and (fit.mixed or fit.other is not None):
+        fit, open_ = replace(fit, status=Status.MIXED if fit.mixed else Status.AMBIGUOUS), np.empty((0, 6))
     information = fit.information_without_depth if len(open_) else fit.information
     if fit.status is Status.SCALE_NOT_OBSERVABLE:
         for row in open_:
@@ -162,7 +172,7 @@ def _motion(
             information = forget(information, row)
     return Motion(
         status=fit.status,
-        motion=motion_about(center, fit.rotation, fit.shift) if fit.status.has_pose or len(open_) else None,
+        motion=motion_about(center, fit.rotation, fit.shift) if guess else None,
         center=center,
         information=information,
         covariance=covariance_of(information),
@@ -172,6 +182,9 @@ def _motion(
         method=method,
         iterations=fit.iterations,
         faults=fit.faults,
+        rival=motion_about(center, *fit.other) if fit.status is Status.AMBIGUOUS and fit.other is not None else None,
+        second=second,
+        standing=fit.standing,
     )
 
 

@@ -15,13 +15,22 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.compiled import cholesky_solve, kernel, solve_factored, turn_by
+from sylpose.numerics.compiled import cholesky_solve, kernel, solve_factored
 from sylpose.numerics.normal_equations import add_turned, eliminate, turn_rows
 from sylpose.numerics.robust import bisquare_on_noise
-from sylpose.two_frames.match_cost import Equations, Matched, Tolerance, match_equations, no_equations
-from sylpose.two_frames.terms import SURFACE, Candidate, Stack
+from sylpose.two_frames.match_cost import Equations, Matched, Tolerance, Usable, match_equations, no_equations
+from sylpose.two_frames.terms import SURFACE, Candidate, Stack, take_step
 
-__all__ = ["CUTOFF", "SETTLED", "Reweighted", "nothing_yet", "reweight"]
+__all__ = [
+    "CUTOFF",
+    "INDEPENDENT",
+    "SETTLED",
+    "Reweighted",
+    "nothing_yet",
+    "reduce_term",
+    "reweight",
+    "surface_prior",
+]
 
 
 # Cutoff of d: 94 % efficient with Gaussian noise in both directions, for which d² is chi-squared with two degrees of
@@ -39,6 +48,8 @@ SECOND_ROUND = 2
 LONG_ROUNDS, FREE_ROUNDS = 12, 4
 SHORTER, SHORTEST, LONGER = 0.5, 0.1, 1.3
 LONGEST_STEP = 0.3
+# Nor does any change an inverse depth by more than this share of it (choice).
+NEARER = 0.5
 # What is added to a step's diagonal, of its trace (choice).
 RIDGE = 1e-9
 # Settled when a step promises to lower the cost by less than this: a thirtieth of a standard deviation (choice).
@@ -87,6 +98,8 @@ class Reweighted(NamedTuple):
         information: (6, 6) about (w, d).
         without_depth: (6, 6) the same when nothing is believed of the surfaces, of how far away they are nor how curved.
         noise: (6, 6) the part of both that tells nothing (`Equations`).
+        relief: (T,) ζ.
+        place: (1,) of the object (`Stack`).
     """
 
     candidate: Candidate
@@ -96,6 +109,8 @@ class Reweighted(NamedTuple):
     information: FloatArray
     without_depth: FloatArray
     noise: FloatArray
+    relief: FloatArray
+    place: FloatArray
 
 
 @kernel
@@ -110,63 +125,70 @@ def nothing_yet(stack: Stack) -> Reweighted:
         np.zeros((6, 6)),
         np.zeros((6, 6)),
         np.zeros((6, 6)),
+        stack.relief.copy(),
+        np.zeros(1),
     )
 
 
 @kernel
-def reweight(stack: Stack, usable: BoolArray, fit: Reweighted) -> tuple[int, float, float]:
+def reweight(stack: Stack, usable: Usable, fit: Reweighted) -> tuple[int, float, float]:
     """From one motion to the one that its inliers agree on, all in place.
 
     Args:
-        usable: (N,) matches that may be inliers.
+        usable: (N,) matches that may be inliers, or the probability of each that it is one of them.
         fit: its candidate and noise are the start; all of it becomes the result.
 
     Returns:
         number of rounds; what the last step promised to lower the cost by, infinite where no match agreed; the negative
         log-likelihood of all usable matches, to compare hypotheses by.
     """
-    candidate, sigma_px, weights, across, information, without_depth, noise = fit
-    rotation, shift, surface = candidate
+    candidate, sigma_px, weights, across, information, without_depth, noise, relief, place = fit
+    surface = candidate.surface
     n, n_matches = sigma_px.shape[0], weights.shape[0]
     distance, along, parallax = np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
     matches = Matched(distance, across, along, parallax, weights)
-    searching, ending, gains = no_equations(False), no_equations(True), np.empty((n, SURFACE, 7))
-    total, right, step, prior = np.empty((6, 6)), np.empty(6), np.empty(6), np.empty((SURFACE, SURFACE))
-    open_prior = np.empty((SURFACE, SURFACE))
-    unused = np.empty(6)
-    turned, relief, mass = np.empty((3, 3)), stack.relief.copy(), np.zeros(n)
+    searching, ending, gains = no_equations(False), no_equations(True), np.empty((n, SURFACE, 8))
+    total, right, step, prior = np.empty((7, 7)), np.empty(7), np.empty(7), np.empty((SURFACE, SURFACE))
+    open_prior, open_total = np.empty((SURFACE, SURFACE)), np.empty((7, 7))
+    unused, mass = np.empty(7), np.zeros(n)
+    relief[:], place[:] = stack.relief, 0.0
     trusted = np.ones(n, np.bool_)
     bound = SIGMA_GROWTH * sigma_px.max()
     promise, length, count, settled = np.inf, 1.0, 0, False
     for count in range(1, MAX_ROUNDS + 2):
         cutoff = CUTOFF * (WIDER[count - 1] if count <= len(WIDER) else 1.0)
         total[:] = 0.0
-        without_depth[:] = 0.0
+        open_total[:] = 0.0
         noise[:] = 0.0
         right[:] = 0.0
+        # Where the object is is believed with a standard deviation of 1.
+        total[6, 6], right[6] = 1.0, -place[0]
         for t in range(n):
             equations = ending if settled else searching
             shared = relief[t] * np.sqrt(max(1.0, mass[t] / INDEPENDENT))
             tolerance = Tolerance((sigma_px[t] / stack.focal[t]) ** 2, relief[t], shared, cutoff)
             match_equations(stack, t, usable, candidate, tolerance, matches, equations)
-            _surface_prior(stack, t, surface[t], prior)
+            surface_prior(stack, t, surface[t], place[0], prior)
             if settled and trusted[t]:
                 # The last round: nothing moves any more.
                 for k in range(SURFACE):
                     for j in range(SURFACE):
                         open_prior[k, j] = OPEN_PRIOR * prior[k, j]
-                _reduce(stack, t, surface[t], open_prior, equations, without_depth, unused, gains[t])
+                reduce_term(stack, t, surface[t], place[0], open_prior, equations, open_total, unused, gains[t])
                 add_turned(equations.noise, stack.qy[t], noise)
             if not trusted[t]:
                 gains[t] = 0.0
-            elif not _reduce(stack, t, surface[t], prior, equations, total, right, gains[t]):
+            elif not reduce_term(stack, t, surface[t], place[0], prior, equations, total, right, gains[t]):
                 return count, np.inf, np.inf
-        information[:] = total
+        without_depth[:] = open_total[:6, :6]
+        for i in range(6):
+            for j in range(6):
+                information[i, j] = total[i, j] - total[i, 6] * total[6, j] / total[6, 6]
         if settled:
             # A turn that nothing but noise shows never settles, nor need it.
             step[:] = right
             if promise >= SETTLED and cholesky_solve(total, step):
-                promise = 0.0
+                promise = 0.5 * step[6] * right[6]
                 for i in range(6):
                     promise += 0.5 * step[i] * right[i]
                     for j in range(6):
@@ -182,7 +204,7 @@ def reweight(stack: Stack, usable: BoolArray, fit: Reweighted) -> tuple[int, flo
         if not cholesky_solve(total, step):
             return count, np.inf, np.inf
         last_promise, promise = promise, 0.0
-        for i in range(6):
+        for i in range(7):
             promise += 0.5 * step[i] * right[i]
         # Steps that grow overshoot, and matches that come and go make them circle: shorter ones settle.
         growing = promise > last_promise and count > FREE_ROUNDS
@@ -191,17 +213,13 @@ def reweight(stack: Stack, usable: BoolArray, fit: Reweighted) -> tuple[int, flo
             length = min(length, LONG_ROUNDS / count)
         angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         length_now = length * min(1.0, LONGEST_STEP / max(angle, 1e-300))
-        for i in range(6):
-            step[i] *= length_now
-        turn_by(step[:3], rotation, turned)
-        rotation[:] = turned
-        for i in range(3):
-            shift[i] += step[3 + i]
         for t in range(n):
-            for k in range(SURFACE):
-                surface[t, k] += length_now * gains[t, k, 6]
-                for j in range(6):
-                    surface[t, k] -= gains[t, k, j] * step[j]
+            # The object stays before its cameras.
+            nearer = gains[t, 0, 7]
+            for j in range(7):
+                nearer -= gains[t, 0, j] * step[j]
+            length_now = min(length_now, NEARER * abs(surface[t, 0]) / max(abs(nearer), 1e-300))
+        take_step(candidate, place, step, gains, length_now)
         for t in range(n):
             mass[t] = 0.0
             for i in range(stack.offsets[t], stack.offsets[t + 1]):
@@ -211,16 +229,16 @@ def reweight(stack: Stack, usable: BoolArray, fit: Reweighted) -> tuple[int, flo
             _scale(stack, weights, across, trusted, bound, sigma_px)
             _reliefs(stack, weights, along, parallax, sigma_px, relief)
         settled = (count >= MIN_ROUNDS and promise < SETTLED) or count == MAX_ROUNDS
-    cost, density = 0.0, 0.0
+    cost, density = 0.5 * place[0] ** 2, 0.0
     for t in range(n):
-        cost += _surface_prior(stack, t, surface[t], prior)
+        cost += surface_prior(stack, t, surface[t], place[0], prior)
         f, variance = stack.focal[t], (sigma_px[t] / stack.focal[t]) ** 2
         anywhere = np.log((ANYWHERE * stack.spread[t]) ** 2 / (2.0 * np.pi))
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             if usable[i]:
                 density = 0.5 * np.log(variance * (variance + (relief[t] * parallax[i]) ** 2))
                 near = min(0.5 * distance[i], 0.5 * distance[i] / COARSE**2 + SLOPPY)
-                cost += min(near + density, max(anywhere, density)) - anywhere
+                cost += usable[i] * (min(near + density, max(anywhere, density)) - anywhere)
             across[i] *= f
             if not trusted[t]:
                 weights[i] = 0.0
@@ -233,29 +251,36 @@ def reweight(stack: Stack, usable: BoolArray, fit: Reweighted) -> tuple[int, flo
 
 
 @kernel
-def _reduce(
+def reduce_term(
     stack: Stack,
     t: int,
     surface: FloatArray,
+    place: float,
     prior: FloatArray,
     equations: Equations,
     total: FloatArray,
     right: FloatArray,
     gain: FloatArray,
 ) -> bool:
-    """Adds term t's equations, its surface eliminated, to total (6, 6) and right (6,), in world axes.
+    """Adds term t's equations, its surface eliminated, to total (7, 7) and right (7,), in world axes: of (w, d) and of how
+    far away the object is, z, which moves the mean of α by (stack.place[t], 0, ...) z.
 
-    gain (6, 7) becomes the surface's answer: α changes by gain[:, 6] - gain[:, :6] (w, d).
+    gain (6, 8) becomes the surface's answer: α changes by gain[:, 7] - gain[:, :7] (w, d, z).
     """
-    block, column, kept = np.empty((SURFACE, SURFACE)), np.empty(SURFACE), np.zeros((6, 7))
-    q = stack.qy[t]
+    block, column, kept = np.empty((SURFACE, SURFACE)), np.empty(SURFACE), np.zeros((7, 8))
+    q, by_place = stack.qy[t], stack.place[t]
     turn_rows(equations.matrix[6:, :6], q, gain)
-    for k in range(SURFACE):
-        gain[k, 6] = equations.right[6 + k]
-        for j in range(SURFACE):
-            gain[k, 6] -= prior[k, j] * (surface[j] - stack.surface_mean[t, j])
-            block[k, j] = equations.matrix[6 + k, 6 + j] + prior[k, j]
     add_turned(equations.matrix, q, kept)
+    kept[6, 6] = by_place * by_place * prior[0, 0]
+    for k in range(SURFACE):
+        gain[k, 6] = -by_place * prior[k, 0]
+        gain[k, 7] = equations.right[6 + k]
+        for j in range(SURFACE):
+            off = surface[j] - stack.surface_mean[t, j] - (by_place * place if j == 0 else 0.0)
+            gain[k, 7] -= prior[k, j] * off
+            if k == 0:
+                kept[6, 7] += by_place * prior[0, j] * off
+            block[k, j] = equations.matrix[6 + k, 6 + j] + prior[k, j]
     if not eliminate(block, gain, kept):
         return False
     # What the data say of α, as a number of unknowns: trace of block^-1 (block - prior).
@@ -270,25 +295,29 @@ def _reduce(
     pull = INTEGRATED * unknowns / max(equations.squares[0], 1e-300)
     for i in range(6):
         h, j = i // 3, i % 3
-        right[i] += kept[i, 6]
         for a in range(3):
             right[i] += q[a, j] * (equations.right[3 * h + a] - pull * equations.stretch[3 * h + a])
-        for j in range(6):
+    for i in range(7):
+        right[i] += kept[i, 7]
+        for j in range(7):
             total[i, j] += kept[i, j]
     return True
 
 
 @kernel
-def _surface_prior(stack: Stack, t: int, surface: FloatArray, prior: FloatArray) -> float:
-    """prior (6, 6): information about α; returns what α's departure from its mean costs.
+def surface_prior(stack: Stack, t: int, surface: FloatArray, place: float, prior: FloatArray) -> float:
+    """prior (6, 6): information about α; returns what α's departure from its mean costs, the object being at `place`.
 
     Slopes are heavy-tailed (a Cauchy distribution in two dimensions): a plane may be seen at a grazing angle.
     """
-    steep, cost = 0.0, 0.0
+    steep, cost, off = 0.0, 0.0, np.empty(SURFACE)
+    for k in range(SURFACE):
+        off[k] = surface[k] - stack.surface_mean[t, k]
+    off[0] -= stack.place[t] * place
     for k in range(SURFACE):
         for j in range(SURFACE):
             prior[k, j] = stack.surface_information[t, k, j]
-            part = prior[k, j] * (surface[k] - stack.surface_mean[t, k]) * (surface[j] - stack.surface_mean[t, j])
+            part = prior[k, j] * off[k] * off[j]
             if k == 1 or k == 2:
                 steep += part
             else:
@@ -352,15 +381,15 @@ def _scale(
 
 
 @kernel
-def _set_aside(stack: Stack, usable: BoolArray, weights: FloatArray, trusted: BoolArray) -> None:
+def _set_aside(stack: Stack, usable: Usable, weights: FloatArray, trusted: BoolArray) -> None:
     """trusted (T,): not the terms that agree in too few of their matches, when others agree in many."""
     n = stack.focal.shape[0]
     share, best = np.ones(n), 0.0
     for t in range(n):
-        agree, could = 0, 0
+        agree, could = 0.0, 0.0
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             could += usable[i]
-            agree += weights[i] > 0.0
+            agree += usable[i] if weights[i] > 0.0 else 0.0
         if could >= JUDGED:
             share[t] = agree / could
             best = max(best, share[t])

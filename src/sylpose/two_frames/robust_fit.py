@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
@@ -13,7 +15,7 @@ from sylpose.two_frames.search import no_minima, search
 from sylpose.two_frames.seeds import hyperplane_inliers
 from sylpose.two_frames.terms import Guesses, Stack, copy_into
 
-__all__ = ["fitted", "robust_fit"]
+__all__ = ["KEEP", "Settled", "fitted", "robust_fit"]
 
 
 # Quadruples that a term's seeds are drawn with, at most (choice).
@@ -33,16 +35,32 @@ KEEP = 4
 SECOND_CHANCE = 60.0
 
 
+class Settled(NamedTuple):
+    """The minima that were refined, of K at most: what one another's rivals are.
+
+    Attributes:
+        rotations: (K, 3, 3), shifts: (K, 3).
+        costs: (K,) negative log-likelihoods, infinite where there is none.
+        inliers: (K,) numbers of them.
+    """
+
+    rotations: FloatArray
+    shifts: FloatArray
+    costs: FloatArray
+    inliers: FloatArray
+
+
 @kernel
 def robust_fit(
-    stack: Stack, usable: BoolArray, picks: FloatArray, guesses: Guesses, fit: Reweighted
+    stack: Stack, usable: FloatArray, picks: FloatArray, guesses: Guesses, fit: Reweighted, found: Settled
 ) -> tuple[int, float]:
     """One robust motion: seeds per term, minima of all seeds together, the best of them re-weighted.
 
     Args:
-        usable: (N,) matches that may be inliers.
+        usable: (N,) 1 for matches that may be inliers, else 0.
         picks: (h, 4) in [0, 1): draw the seeds' quadruples.
         fit: filled.
+        found: filled.
 
     Returns:
         iterations of the solver; what its last step promised (`reweight`), infinite where there is no fit.
@@ -60,6 +78,7 @@ def robust_fit(
     minima = no_minima(KEEP, n)
     iterations = search(stack, sums, guesses, minima)
     best, promise = np.inf, np.inf
+    found.costs[:] = np.inf
     for k in range(KEEP):
         # Others are refined as well where they are nearly as likely, or where the first led nowhere.
         if not minima.likelihoods[k] > (minima.likelihoods[0] - SECOND_CHANCE if promise < SETTLED else -np.inf):
@@ -73,25 +92,32 @@ def robust_fit(
                 trial.candidate.surface[t, j] = minima.surfaces[k, t, j]
         done, promised, cost = reweight(stack, usable, trial)
         iterations += done
+        found.rotations[k], found.shifts[k] = trial.candidate.rotation, trial.candidate.shift
+        found.costs[k], found.inliers[k] = cost, (trial.weights > 0.0).sum()
         if cost < best:
             best, promise = cost, promised
             copy_into(fit.candidate, trial.candidate)
             fit.sigma_px[:], fit.weights[:], fit.across[:] = trial.sigma_px, trial.weights, trial.across
             fit.information[:], fit.without_depth[:], fit.noise[:] = trial.information, trial.without_depth, trial.noise
+            fit.relief[:], fit.place[:] = trial.relief, trial.place
     return iterations, promise
 
 
 def fitted(
     stack: Stack, usable: BoolArray, guesses: Guesses, rng: np.random.Generator
-) -> tuple[Reweighted, int, float]:
-    """`robust_fit` with quadruples drawn from rng: the fit, without inliers where there is none, and what it returns."""
+) -> tuple[Reweighted, Settled, int, float]:
+    """`robust_fit` with quadruples drawn from rng: the fit, without inliers where there is none, all minima, and what it
+    returns."""
     fit = nothing_yet(stack)
-    iterations, promise = robust_fit(stack, usable, rng.random((QUADRUPLES, 4)), guesses, fit)
-    return fit, iterations, promise
+    found = Settled(np.zeros((KEEP, 3, 3)), np.zeros((KEEP, 3)), np.empty(KEEP), np.zeros(KEEP))
+    # Probabilities, as of a mixture: one compiled version does.
+    some = usable.astype(np.float64)
+    iterations, promise = robust_fit(stack, some, rng.random((QUADRUPLES, 4)), guesses, fit, found)
+    return fit, found, iterations, promise
 
 
 @kernel
-def _seed(stack: Stack, usable: BoolArray, picks: FloatArray, weights: FloatArray, sigma_px: FloatArray) -> None:
+def _seed(stack: Stack, usable: FloatArray, picks: FloatArray, weights: FloatArray, sigma_px: FloatArray) -> None:
     """Each term's matches that one motion can explain: weights (N,) of 1 or 0, and their noise (T,)."""
     n, n_matches = stack.focal.shape[0], stack.x.shape[0]
     x, y, index = np.empty((n_matches, 2)), np.empty((n_matches, 2)), np.empty(n_matches, np.int64)
@@ -102,7 +128,7 @@ def _seed(stack: Stack, usable: BoolArray, picks: FloatArray, weights: FloatArra
         count = 0
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             weights[i] = 0.0
-            if usable[i]:
+            if usable[i] > 0.0:
                 x[count, 0], x[count, 1] = stack.x[i, 0], stack.x[i, 1]
                 y[count, 0], y[count, 1] = stack.y[i, 0], stack.y[i, 1]
                 index[count] = i

@@ -9,11 +9,15 @@ import numpy as np
 from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
-from sylpose.numerics.matrices import forget
+from sylpose.numerics.matrices import forget, transpose
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
+from sylpose.two_frames.mixtures import alike, is_mixed, parted, some_move
+from sylpose.two_frames.reweight import nothing_yet
+from sylpose.two_frames.rivals import second_planes, strongest_rival, together
 from sylpose.two_frames.robust_fit import fitted
 from sylpose.two_frames.terms import Stack, TermData, guesses_of, stack_terms
+from sylpose.two_frames.valley import bend, less_certain, settle_across
 from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
 
 __all__ = ["FAR_PX", "fit_terms", "warm_up"]
@@ -24,6 +28,8 @@ Hypothesis = tuple[FloatArray, FloatArray]
 FAR_PX = 6.0
 # A solver whose last step was a standard deviation long had not converged: half its square (derived).
 CONVERGED = 0.5
+# A motion nearby that is nearly as likely is within so many of its own distances (choice: two standard deviations).
+DOUBT = 0.5
 
 
 def fit_terms(
@@ -47,10 +53,23 @@ def fit_terms(
     stack = stack_terms(data, center, radius)
     usable = np.ones(len(stack.x), dtype=bool)
     _not_background(stack, usable)
-    found, iterations, promise = fitted(stack, usable, guesses_of(guesses), rng)
-    (rotation, shift, _), _, weights, across, information, without_depth, noise = found
+    found, minima, iterations, promise = fitted(stack, usable, guesses_of(guesses), rng)
+    planes = second_planes(stack, found)
+    if planes:
+        again = fitted(stack, usable, guesses_of([*guesses, *planes]), rng)
+        iterations += again[2]
+        minima, best = together(minima, again[1]), again[1].costs.min() < minima.costs.min()
+        found, promise = (again[0], again[3]) if best else (found, promise)
+    part = parted(stack, usable, found, guesses_of(guesses), rng)
+    told, may = 1.0, usable.astype(float)
+    # A mixture that does not settle says nothing against the one motion.
+    part = part if part is not None and part.promise < CONVERGED else None
+    if part is not None:
+        found, minima, promise, may, told = part.found, part.minima, part.promise, part.moving, part.told
+        iterations += part.iterations
+    (rotation, shift, _), _, weights, across, information, without_depth, noise, _, _ = found
     status = Status.OK
-    if not (weights > 0).sum() >= MIN_MATCHES or not is_consistent(stack, usable, found):
+    if not (weights > 0).sum() >= MIN_MATCHES or (part is None and not is_consistent(stack, usable, found)):
         status = Status.NOT_CONSISTENT
     rod = rod_axis(stack, found)
     # About a rod the solver circles: that is no failure.
@@ -60,10 +79,22 @@ def fit_terms(
         return no_fit(data, status)
     # σ is estimated: the covariance is that of Student's distribution.
     freedom = int((weights > 0).sum()) - 6
-    known = max(freedom - 2, 1) / freedom
-    information, without_depth = (known * _without_noise(part, noise) for part in (information, without_depth))
+    known = told * max(freedom - 2, 1) / freedom
+    bent = bend(stack, may, found, radius)
+    both = known * _without_noise(np.stack([information, without_depth]), noise)
+    information, without_depth = less_certain(both[0], bent), less_certain(both[1], bent)
+    other = None
     if stands_still(stack, found, information):
+        if some_move(stack, usable, found):
+            return no_fit(data, Status.MOSTLY_STILL)
         status, rotation, shift = Status.NO_MOTION, np.eye(3), np.zeros(3)
+    elif rod is None:
+        rival = strongest_rival(found, minima, information, radius)
+        if rival is not None and rival.far:
+            other = (rival.rotation, rival.shift)
+        elif rival is not None:
+            column = DOUBT * rival.step[:, None]
+            information, without_depth = less_certain(information, column), less_certain(without_depth, column)
     if rod is not None:
         information, without_depth = forget(information, rod), forget(without_depth, rod)
     return Fit(
@@ -75,25 +106,30 @@ def fit_terms(
         information,
         without_depth,
         int(iterations),
+        other=other,
+        mixed=is_mixed(*alike(stack, found)),
+        cost=float(minima.costs.min()),
+        standing=0.0 if part is None else float(1.0 - part.moving.mean()),
     )
 
 
 def _without_noise(information: FloatArray, noise: FloatArray) -> FloatArray:
-    """Information (6, 6) less the part that noise alone put there.
+    """Informations (k, 6, 6) less the part that noise alone put there.
 
     With both as quadratic forms in axes where the information is the identity: (1 - ν)² of each axis is left, the
     sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A trace always stays.
     """
-    largest = float(np.diag(information).max())
-    if not largest > 1e-100:
+    sizes = np.diagonal(information, axis1=1, axis2=2)
+    largest = sizes.max(axis=1, keepdims=True)
+    if not (largest > 1e-100).all():
         return information
-    unit = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-12 * largest))
-    values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
-    root = np.sqrt(np.maximum(values, 1e-14 * float(values[-1])))
-    to_identity = unit[:, None] * vectors / root
-    spoilt, axes = np.linalg.eigh(to_identity.T @ noise @ to_identity)
-    half = (vectors * root / unit[:, None]) @ axes * np.clip(1.0 - spoilt, 1e-3, 1.0)
-    return np.asarray(half @ half.T)
+    unit = 1.0 / np.sqrt(np.maximum(sizes, 1e-12 * largest))
+    values, vectors = np.linalg.eigh(information * (unit[:, :, None] * unit[:, None, :]))
+    root = np.sqrt(np.maximum(values, 1e-14 * values[:, -1:]))[:, None, :]
+    to_identity = unit[:, :, None] * vectors / root
+    spoilt, axes = np.linalg.eigh(transpose(to_identity) @ noise @ to_identity)
+    half = (vectors * root / unit[:, :, None]) @ axes * np.clip(1.0 - spoilt, 1e-3, 1.0)[:, None, :]
+    return np.asarray(half @ transpose(half))
 
 
 @kernel
@@ -118,3 +154,6 @@ def warm_up() -> None:
     x = np.random.default_rng(0).uniform(-0.1, 0.1, (12, 2))
     data = [TermData(k, x, x + 0.01 * k, np.eye(3), np.array([k - 0.5, 0.0, -1.0]), 1000.0) for k in range(2)]
     fit_terms(data, np.zeros(3), 0.1, [], np.random.default_rng(0))
+    stack = stack_terms(data, np.zeros(3), 0.1)
+    alike(stack, nothing_yet(stack))
+    settle_across(stack, np.ones(len(stack.x)), nothing_yet(stack), np.zeros(6), np.zeros(6), np.zeros(6))

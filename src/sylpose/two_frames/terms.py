@@ -21,10 +21,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
-from sylpose.numerics.compiled import kernel
+from sylpose.numerics.compiled import kernel, turn_by
 from sylpose.rig import nearest_point_to_rays
 
 __all__ = [
+    "ROUNDING",
     "SURFACE",
     "Candidate",
     "Guesses",
@@ -34,6 +35,7 @@ __all__ = [
     "guesses_of",
     "object_place",
     "stack_terms",
+    "take_step",
 ]
 
 
@@ -56,6 +58,20 @@ PLANE_OFFSET, PLANE_OFFSET_SD, PLANE_SLOPE_SD, PLANE_RELIEF_SD = 0.3, OFFSET_SD,
 # g is where median rays meet: cameras nearly in one place, by the smallest eigenvalue of the normal equations of that point,
 # tell nothing of it (choice), and those whose mean ray is shorter than this look from opposite sides (choice).
 ONE_PLACE, OPPOSITE = 1e-5, 0.5
+# In a first look the inverse depth of g is never believed to be worse known than this (choice).
+FARTHEST = 0.3
+# Where their inverse distance is so many standard deviations above nothing, rays do meet (choice).
+CONVERGING = 5.0
+# Centers nearer to each other than this, of their coordinates, are one (derived: rounding).
+ROUNDING = 1e-9
+# Where rays go so far apart that their mean is shorter, a cone of some 36 degrees, they do (choice).
+CLOSE_RAYS = 0.95
+
+# What is believed of a surface, in radii of the object, less the 1 of its inverse depth; slopes, which are per spread, come
+# on their own (derived).
+_MEAN = np.array([OFFSET_PER_BULGE, 0.0, 0.0, -1.0, 0.0, -1.0]) * BULGE
+_SCATTER = np.array([OFFSET_SD, 1.0, 1.0, CURVATURE_SD, CURVATURE_SD, CURVATURE_SD])
+_INFORMATION = np.linalg.inv(np.outer(_MEAN, _MEAN) + np.diag(_SCATTER**2))
 
 # Others believe the same of the visible side of a body, in their own unknowns:
 # - `paper.depth_plane_kernels`: a plane without an offset, which moments about the mean do not have; any normal is as
@@ -123,7 +139,9 @@ class Stack(NamedTuple):
         anchor: (T, 2) g in the image of the reference frame: where the surface is anchored.
         spread: (T,) half of the object's radius there: about the median distance of its points from the anchor.
         inverse_depth: (T,) of g in the reference frame.
-        surface_mean: (T, 6), surface_information: (T, 6, 6) prior of the surface (`SURFACE`).
+        surface_mean: (T, 6), surface_information: (T, 6, 6) prior of the surface (`SURFACE`), if g is the object's centre.
+        place: (T,) by how much α's mean, its first coefficient, changes with the one unknown that says by how much it is
+            not: how far away all terms' surfaces are, in standard deviations of what is believed of it.
         relief: (T,) prior standard deviation of the inverse depth about that surface, in units of g's.
         plane_mean, plane_sd: (T, 3), plane_relief: (T,) the same of a plane, for a first look.
         focal: (T,) pixels per normalised unit.
@@ -141,6 +159,7 @@ class Stack(NamedTuple):
     inverse_depth: FloatArray
     surface_mean: FloatArray
     surface_information: FloatArray
+    place: FloatArray
     relief: FloatArray
     plane_mean: FloatArray
     plane_sd: FloatArray
@@ -172,6 +191,23 @@ def copy_into(to: Candidate, source: Candidate) -> None:
     to.rotation[:], to.shift[:], to.surface[:] = source.rotation, source.shift, source.surface
 
 
+@kernel
+def take_step(candidate: Candidate, place: FloatArray, step: FloatArray, gains: FloatArray, length: float) -> None:
+    """candidate and place (1,) change by `length` times a step (7,), the surfaces as their gains (T, 6, 8) say."""
+    turn, turned = length * step[:3], np.empty((3, 3))
+    turn_by(turn, candidate.rotation, turned)
+    candidate.rotation[:] = turned
+    for i in range(3):
+        candidate.shift[i] += length * step[3 + i]
+    place[0] += length * step[6]
+    for t in range(gains.shape[0]):
+        for k in range(SURFACE):
+            change = gains[t, k, 7]
+            for j in range(7):
+                change -= gains[t, k, j] * step[j]
+            candidate.surface[t, k] += length * change
+
+
 class Guesses(NamedTuple):
     """G motions to start from besides the built-in ones: rotations (G, 3, 3), shifts (G, 3)."""
 
@@ -201,17 +237,13 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> 
     # An object that reaches to its camera: its depth is bounded as well as can be.
     share = np.minimum(radius / depth, 1.0)
     spread = 0.5 * share
-    extra = _place_variance(a1)
-    bulge = np.array([OFFSET_PER_BULGE, 0.0, 0.0, -1.0, 0.0, -1.0]) * BULGE
-    scatter = np.array([OFFSET_SD, 0.0, 0.0, CURVATURE_SD, CURVATURE_SD, CURVATURE_SD])
-    # In radii; slopes, which are per spread, come on their own.
-    covariance = np.outer(bulge, bulge) + np.diag(scatter**2 + np.array([0, 1, 1, 0, 0, 0]))
-    information = np.linalg.inv(covariance + extra[:, None, None] * np.diag(np.eye(SURFACE)[0]))
+    place_sd = _place_sd(a1, qx)
     scale = np.repeat(1.0 / share[:, None], SURFACE, axis=1)
     scale[:, 1:3] = 1.0 / (SLOPE_SD * spread[:, None])
     plane_mean = np.zeros((len(data), 3))
     plane_mean[:, 0] = 1.0 + PLANE_OFFSET * share
-    plane_offset_sd = np.sqrt(PLANE_OFFSET_SD**2 + extra) * share
+    # In a first look lengths may as well be wrong as depths negative.
+    plane_offset_sd = np.minimum(np.hypot(PLANE_OFFSET_SD, place_sd) * share, FARTHEST)
     return Stack(
         x=x,
         y=y,
@@ -223,8 +255,9 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> 
         anchor=place[:, :2] / depth[:, None],
         spread=spread,
         inverse_depth=1.0 / depth,
-        surface_mean=np.eye(1, SURFACE) + share[:, None] * bulge,
-        surface_information=information * scale[:, :, None] * scale[:, None, :],
+        surface_mean=np.eye(1, SURFACE) + share[:, None] * _MEAN,
+        surface_information=_INFORMATION * scale[:, :, None] * scale[:, None, :],
+        place=place_sd * share,
         relief=RELIEF_SD * share,
         plane_mean=plane_mean,
         plane_sd=np.column_stack([plane_offset_sd, PLANE_SLOPE_SD * spread, PLANE_SLOPE_SD * spread]),
@@ -233,18 +266,21 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> 
     )
 
 
-def _place_variance(a1: FloatArray) -> FloatArray:
-    """(T,) how much worse than its offset's scatter each term's depth of g is known, in squares of the object's radius.
+def _place_sd(a1: FloatArray, qx: FloatArray) -> FloatArray:
+    """(T,) how much worse than its offset's scatter each term's inverse depth of g is known, in radii of the object; signed,
+    since one unknown is behind them all.
 
     g is where the terms' median rays meet, each of which misses the object's centre by `OFFSET_SD` radii or so. Cameras
-    close together, seen from the object, magnify that. Those in one place tell nothing of it, and nothing is assumed.
+    close together, seen from the object, magnify that along the direction that they see it in. Those in one place tell
+    nothing of it, and nothing is assumed.
     """
     rays = a1 / np.maximum(np.linalg.norm(a1, axis=1, keepdims=True), 1e-300)
+    # The sum of the eigenvalues is twice the number of rays, and none exceeds that number: at most one is below 1.
     values, vectors = np.linalg.eigh((np.eye(3) - rays[:, :, None] * rays[:, None, :]).sum(axis=0))
     # Cameras on opposite sides have it between them.
     if not values[0] > ONE_PLACE or np.linalg.norm(rays.mean(axis=0)) < OPPOSITE:
         return np.zeros(len(a1))
-    return np.asarray(OFFSET_SD**2 * ((rays @ vectors) ** 2 * np.maximum(1.0 / values - 1.0, 0.0)).sum(axis=1))
+    return np.asarray(-OFFSET_SD * np.sqrt(max(1.0 / values[0] - 1.0, 0.0)) * (qx[:, 2] @ vectors[:, 0]))
 
 
 def object_place(data: Sequence[TermData]) -> tuple[FloatArray, float]:
@@ -259,10 +295,34 @@ def object_place(data: Sequence[TermData]) -> tuple[FloatArray, float]:
     turns = np.array([term.rotation_x for term in data])
     centers = np.array([term.center_x for term in data])
     rays = np.einsum("ti,tij->tj", np.column_stack([anchor, np.ones(len(data))]), turns)
-    center = nearest_point_to_rays(centers, rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    center = _meeting_point(centers, rays / np.linalg.norm(rays, axis=1, keepdims=True), spread)
     depths = np.abs(np.einsum("tj,tj->t", turns[:, 2], center - centers))
-    radius = 2.0 * float(np.average(spread * depths, weights=[len(term) for term in data]))
+    counts = np.array([len(term) for term in data], dtype=float)
+    radius = 2.0 * float(counts @ (spread * depths) / counts.sum())
     return center, max(radius, 1e-6 * float(np.mean(depths)))
+
+
+def _meeting_point(centers: FloatArray, rays: FloatArray, spread: FloatArray) -> FloatArray:
+    """Where rays (T, 3) from centers (T, 3) through the middle of objects meet, each of which misses the object's centre.
+
+    Where the centers are close together, what the rays miss by, a part `OFFSET_SD` of the object's radius of 2 spread,
+    outweighs what they converge by: they may meet at any distance, or behind the cameras. Then the object is put no farther
+    away than a standard deviation of its inverse distance allows.
+    """
+    middle, along = centers.mean(axis=0), rays.mean(axis=0)
+    if not np.linalg.norm(along) > CLOSE_RAYS:
+        return nearest_point_to_rays(centers, rays)
+    along /= np.linalg.norm(along)
+    # Seen in the plane across, a ray has the slope (c - b) / depth at the place b, for an object about c.
+    beside = centers - middle
+    beside -= np.outer(beside @ along, along)
+    squares, least = float(np.sum(beside**2)), (ROUNDING * float(np.abs(centers).max())) ** 2
+    slopes = rays / (rays @ along)[:, None]
+    sd = OFFSET_SD * 2.0 * float(np.mean(spread)) / np.sqrt(squares) if squares > least else np.inf
+    inverse = -float(np.sum(slopes * beside)) / squares if squares > least else 0.0
+    if inverse > CONVERGING * sd or not np.isfinite(sd):
+        return nearest_point_to_rays(centers, rays)
+    return np.asarray(middle + slopes.mean(axis=0) / (0.5 * (inverse + np.hypot(inverse, 2.0 * sd))))
 
 
 def _offsets(data: Sequence[TermData]) -> IntArray:

@@ -25,6 +25,9 @@ __all__ = ["is_consistent", "judged", "more_than_chance", "observed", "rod_axis"
 CERTAIN_MOTION, CERTAIN_TURN = chi_squared_bound(6), chi_squared_bound(3)
 # Points that depart from a line by no more than this, in standard deviations of their noise, lie on it (choice).
 ROD_SIGMAS = 2.5
+# And so do those that depart from it by no more than this, where it is so many times as long: the depth of so thin a thing
+# hardly shows, and what it says of a turn about itself is how much its sides are believed to slope (choice).
+THIN_SIGMAS, THIN = 9.0, 10.0
 # So large a share of inliers is not had by chance (choice).
 CERTAIN_SHARE = 0.7
 # Inliers that an answer has by choice, per unknown, and how many times what one has by chance the best of many has (choice).
@@ -166,7 +169,9 @@ def _on_lines(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: 
                     yy += dy * dy / (n - 1)
             # The smaller eigenvalue of the points' covariance.
             least = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-            if least > (ROD_SIGMAS * sigma_px[t] / stack.focal[t]) ** 2:
+            noise, most = (sigma_px[t] / stack.focal[t]) ** 2, xx + yy - least
+            thin = least <= THIN_SIGMAS**2 * noise and most > THIN**2 * least
+            if least > ROD_SIGMAS**2 * noise and not thin:
                 return False
             if frame == 1:
                 angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)

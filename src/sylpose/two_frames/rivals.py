@@ -1,0 +1,143 @@
+"""Other motions that explain the same matches about as well as the one that was found.
+
+The matches of a flat object, or of one whose relief does not show, are two homographies' in each camera: of its plane and
+motion, and of another plane with another motion. Cameras all around tell the two apart, and cameras close together do not,
+nor does the search always meet both. So the second is computed from the first, camera by camera, and tried as a start; and
+of all minima that were refined, one that is nearly as likely and far away is a rival, about which nothing is certain.
+
+Source: the second plane, Ma, Soatto, Kosecka, Sastry, "An Invitation to 3-D Vision", section 5.3.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.compiled import kernel, rotvec_of
+from sylpose.numerics.robust import chi_squared_bound
+from sylpose.numerics.unseen import UNSEEN_SHARE
+from sylpose.two_frames.reweight import Reweighted
+from sylpose.two_frames.robust_fit import Settled
+from sylpose.two_frames.terms import Stack
+
+__all__ = ["Rival", "second_planes", "strongest_rival", "together"]
+
+# Relief, and what of a quadric is no plane, that displaces points by less than this, in standard deviations of their noise,
+# leaves an object flat for all that a camera sees (choice).
+FLAT = 3.0
+# Cameras are close together where the mean of their directions, as seen from the object, is longer: a cone of some 60
+# degrees (choice).
+CLOSE = 0.85
+# Cameras whose second plane is tried (choice).
+PLANES = 4
+# A motion that is less likely by this is none to choose from: a likelihood is trusted to so much (measured:
+# docs/benchmarks.md#hard-pairs; deficits of the truth of 0.7 to 11 were seen).
+LESS_LIKELY = 12.0
+# Two motions are apart where the covariance of one has the other outside of it (chi-squared, once in a thousand times).
+APART = chi_squared_bound(6)
+
+
+class Rival(NamedTuple):
+    """Another motion.
+
+    Attributes:
+        rotation: (3, 3), shift: (3,).
+        step: (6,) (w, d) from the motion that was found to this one.
+        far: whether it is another motion for all that can be said, so that half of the motion is in doubt.
+    """
+
+    rotation: FloatArray
+    shift: FloatArray
+    step: FloatArray
+    far: bool
+
+
+def second_planes(stack: Stack, found: Reweighted) -> list[tuple[FloatArray, FloatArray]]:
+    """Motions (R, d) of the second plane of each camera; none where the object is not flat, or its cameras not close."""
+    if _concentration(stack.a2) < CLOSE:
+        return []
+    R, d, surface = found.candidate
+    out: list[tuple[FloatArray, FloatArray]] = []
+    for t in range(len(stack.focal)):
+        if not found.weights[stack.offsets[t] : stack.offsets[t + 1]].any():
+            continue
+        qx, qy, unit, spread = stack.qx[t], stack.qy[t], stack.inverse_depth[t], stack.spread[t]
+        tau = qy @ (R @ stack.a1[t] - stack.a2[t] + d)
+        parallax = unit * np.linalg.norm(tau) * stack.focal[t] / found.sigma_px[t]
+        if (found.relief[t] + np.abs(surface[t, 3:]).max()) * parallax > FLAT:
+            return []
+        a, b = surface[t, 1:3] / spread
+        anchor = np.append(stack.anchor[t], 1.0)
+        normal = unit * np.array([a, b, surface[t, 0] - a * anchor[0] - b * anchor[1]])
+        other = _other_plane(qy @ R @ qx.T + np.outer(tau, normal), normal, anchor)
+        if other is not None and len(out) < PLANES:
+            turn, by = qy.T @ other[0] @ qx, qy.T @ other[1]
+            out.append((turn, by - turn @ stack.a1[t] + stack.a2[t]))
+    return out
+
+
+@kernel
+def _concentration(places: FloatArray) -> float:
+    """The length of the mean of the directions towards places (n, 3)."""
+    mean = np.zeros(3)
+    for t in range(len(places)):
+        length = np.sqrt(places[t, 0] ** 2 + places[t, 1] ** 2 + places[t, 2] ** 2)
+        for k in range(3):
+            mean[k] += places[t, k] / (max(length, 1e-300) * len(places))
+    return float(np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2))
+
+
+def _other_plane(H: FloatArray, normal: FloatArray, anchor: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """(R, τ) of the other plane n of the homography H = R + τ n', as far away at the anchor; None where there is but one."""
+    _, values, rows = np.linalg.svd(H)
+    H, values = H / values[1], values / values[1]
+    spare, short = values[0] ** 2 - 1.0, 1.0 - values[2] ** 2
+    if not (spare > 1e-12 and short > 1e-12):
+        return None
+    middle = rows[1]
+    solutions = []
+    for sign in (1.0, -1.0):
+        u = (np.sqrt(short) * rows[0] + sign * np.sqrt(spare) * rows[2]) / np.sqrt(spare + short)
+        U = np.column_stack([middle, u, np.cross(middle, u)])
+        W = np.column_stack([H @ middle, H @ u, np.cross(H @ middle, H @ u)])
+        R, n = W @ U.T, np.cross(middle, u)
+        solutions.append((abs(float(n @ normal)), R, n))
+    _, R, n = min(solutions, key=lambda solution: solution[0])
+    if not abs(n @ anchor) > 1e-3:
+        return None
+    n = n * float(normal @ anchor) / float(n @ anchor)
+    return R, (H - R) @ n / float(n @ n)
+
+
+def together(one: Settled, other: Settled) -> Settled:
+    """The minima of two searches."""
+    return Settled(*(np.concatenate(parts) for parts in zip(one, other, strict=True)))
+
+
+def strongest_rival(found: Reweighted, minima: Settled, information: FloatArray, radius: float) -> Rival | None:
+    """The likeliest of the minima that are nearly as likely as what was found and apart from it, far ones first.
+
+    Args:
+        information: (6, 6) of what was found.
+        radius: of the object.
+    """
+    R, d, _ = found.candidate
+    turn = np.empty(3)
+    rotvec_of(R, turn)
+    size = np.hypot(radius * np.linalg.norm(turn), np.linalg.norm(d))
+    best: Rival | None = None
+    if np.count_nonzero(minima.costs < minima.costs.min() + LESS_LIKELY) < 2:
+        return None
+    for k in np.argsort(minima.costs, kind="stable").tolist():
+        if not minima.costs[k] < minima.costs.min() + LESS_LIKELY:
+            break
+        step = np.concatenate([np.empty(3), minima.shifts[k] - d])
+        rotvec_of(minima.rotations[k] @ R.T, turn)
+        step[:3] = turn
+        if step @ information @ step > APART:
+            far = bool(np.hypot(radius * np.linalg.norm(turn), np.linalg.norm(step[3:])) > UNSEEN_SHARE * size)
+            if best is None or (far and not best.far):
+                best = Rival(minima.rotations[k], minima.shifts[k], step, far)
+    return best
