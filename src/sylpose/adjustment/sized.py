@@ -21,7 +21,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.robust import biquartic_losses
 from sylpose.rig import Rig
 
-__all__ = ["bundle_sized", "length_is_open"]
+__all__ = ["SMALL_TURN", "bundle_sized", "length_is_open"]
 
 # A length that is known to this share of it needs no more telling (choice).
 TOLD = 0.005

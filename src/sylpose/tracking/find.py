@@ -93,6 +93,11 @@ class Found:
     anew: bool
     first: Sequence[Landmarks] | None = None
 
+    def standing(self) -> Found:
+        """The same, taken to show no motion."""
+        solution = replace(self.solution, status=Status.NO_MOTION)
+        return replace(self, solution=solution, motion=RigidTransform.identity(), first=None)
+
     @property
     def matches(self) -> int:
         """Number of matches that agree."""

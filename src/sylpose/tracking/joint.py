@@ -127,6 +127,12 @@ class Joint:
         cameras = sum(2 * moved >= MIN_MOVED for moved in seeing)
         return self.proven or (sum(seeing) >= MIN_MOVED and cameras >= min(2, len(seeing)))
 
+    def stands(self, agreed: Sequence[Agreed]) -> bool:
+        """Whether the object was not seen to move yet, nor is in a frame of which so much agrees (by camera): somebody who
+        passes by behind it moves as well, but not most of what one camera sees in the boxes."""
+        most = any(a.moved >= MIN_MOVED and 2 * a.moved > a.tried for a in agreed)
+        return not most and not self.proven_by(agreed)
+
     def may_be_background(self, agreed: Sequence[Agreed]) -> bool:
         """Whether a pose is one that the background would have as well: of what agrees with it (by camera) next to nothing
         was ever seen to move, though the object was. Before the object has moved there is nothing else."""

@@ -15,7 +15,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.results import FramePose, FrameStatus, Observable, Status
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.camera import SeenAgain
-from sylpose.tracking.find import Found
+from sylpose.tracking.find import Found, on_the_move
 from sylpose.tracking.frame import Frame, Pair, SolvedFrame, triangulate
 from sylpose.tracking.joint import Joint, covariance_with_references
 from sylpose.tracking.keyframes import viewpoints
@@ -96,7 +96,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     known, radius = joint.known, joint.object.radius
     pose = found.motion * base.world_from_object
     stood = solution.status is Status.NO_MOTION  # the pose is the base's, and so is its error
-    covariance = base.covariance
+    covariance = base.covariance if proven else joint.keyframes[0].covariance
     if not stood:
         covariance = covariance_with_references(solution.information, pose, found.agreed, known, radius)
     if not proven:
@@ -229,17 +229,20 @@ def told_by_matches(
         return joint, None, guess, pairs
     joint, found = _with_surface(team, joint, frame, pairs)
     seen = None if found is None else found.motion * joint.keyframes[0].world_from_object
-    guess = guess if seen is None else seen
-    if found is not None and not joint.velocity.frames:
-        # The first motion: only what is seen to take part in it tells more of it. What stands still may fill most of the
-        # boxes, and some of it would agree with a motion that is hardly another one.
-        return joint, seen, guess, found.inliers
 
     def on_it(c: int) -> list[Pair]:
         known = [pair for pair in pairs[c] if pair.reference in joint.known]
         return [pair.subset(~frame.cameras[c].background[pair.indices[:, 1]]) for pair in known]
 
-    return joint, seen, guess, team.crew.each(on_it)
+    left: Sequence[Sequence[Pair]] = team.crew.each(on_it)
+    if found is None or seen is None:
+        return joint, None, guess, left
+    if not joint.velocity.frames:
+        # The first motion: what does not take part in it is background, however much of the boxes it fills. Some of what
+        # stands still would agree with a motion that is hardly another one, as points at which the object hardly moves, so
+        # only what is seen to move tells more of it; other methods need every match.
+        left = found.inliers if team.refines else on_the_move(team, joint, frame, left, seen)
+    return joint, seen, seen, left
 
 
 def _with_surface(
@@ -260,7 +263,7 @@ def _with_surface(
     found = first_motion(crew, team.rig, pairs, first.number, team.rng())
     # Something else than the object may pass by behind it.
     far = np.linalg.norm(found.middle - first.world_from_object.translation) > joint.object.radius
-    if not found.certain or far:
+    if not found.certain or found.fit.mixed or far:
         return joint, None
     before, now = first.world_from_object, found.motion * first.world_from_object
 

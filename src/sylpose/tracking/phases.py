@@ -136,7 +136,8 @@ def asks_first(joint: Joint, number: int) -> bool:
     """Whether a frame is matched with the first one, however well it is followed since a later one: only that tells where
     the surface is, and until it is known a pose is hardly known either."""
     since = number - joint.keyframes[0].number
-    return joint.object.guessed and (since <= ASKED_AT_FIRST or since % ASKED == 0)
+    confirms = joint.first_motion is not None  # what two cameras say is believed once the next frame says so, too
+    return joint.object.guessed and (since <= ASKED_AT_FIRST or since % ASKED == 0 or confirms)
 
 
 def _found(
@@ -155,7 +156,7 @@ def _found(
     found = solved_from(team, joint, frame, pairs, guess, regions, followed, anew=anew)
     if found is not None and joint.may_be_background(found.agreed):
         return replace(joint, only_still=True), None
-    return joint, found
+    return joint, found.standing() if found is not None and joint.stands(found.agreed) else found
 
 
 def _found_thoroughly(

@@ -85,7 +85,8 @@ class Velocity:
         Returns:
             the three, corrected.
         """
-        if self.frames < STEADY_FRAMES:
+        # What stood all the time, by all that is known, tells nothing of how it moves.
+        if self.frames < STEADY_FRAMES or not self.unsteady.any():
             return rotation, shift, information
         error = self._surprise(Rotation.from_matrix(rotation), shift, center, elapsed)
         sd = np.maximum(SPREAD * elapsed * np.sqrt(_by_parts(self.unsteady)), 1e-12)

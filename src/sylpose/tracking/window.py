@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.adjustment.bundle import Bundled, Observations
-from sylpose.adjustment.sized import bundle_sized, length_is_open
+from sylpose.adjustment.sized import SMALL_TURN, bundle_sized, length_is_open
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.results import Status
 from sylpose.tracking.frame import SolvedFrame
@@ -104,7 +104,17 @@ def refined(team: Team, joint: Joint) -> Joint:
             team.parts[c].table.place(told[c].known, bundled.landmarks[mine])
 
     team.crew.each(learn)
-    return joint.moved(moved)
+    # Two cameras may agree on the mirror image of a small turn, with hollow for round.
+    told_apart = len(np.unique(names)) > 2
+    return (_told(joint, bundled) if told_apart else joint).moved(moved)
+
+
+def _told(joint: Joint, bundled: Bundled) -> Joint:
+    """After a turn that several cameras agree on, more than boxes tells where the object's surface is."""
+    turned = (bundled.world_from_object.rotation * bundled.world_from_object.rotation[0].inv()).magnitude().max()
+    if turned < SMALL_TURN or length_is_open(bundled):
+        return joint
+    return replace(joint, object=replace(joint.object, guessed=False))
 
 
 def _moved(last: SolvedFrame, after: RigidTransform) -> FloatArray:
