@@ -19,6 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sylpose.features.klt import evened, grey
+from sylpose.features.sift import detect, match_features
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image
 from sylpose.rig import Camera
 
@@ -28,15 +29,15 @@ __all__ = ["FEWEST", "Backdrop", "Steadied", "Turn", "alike", "begin", "turn_sin
 LONGEST_PX = 480
 # Corners at most, no nearer to each other than this share of the longer side, and no weaker than this share of the
 # strongest. Fewer than `FEWEST` say nothing.
-MOST, APART, QUALITY, FEWEST = 100, 0.06, 0.01, 20
+MOST, APART, QUALITY, FEWEST = 120, 0.045, 0.01, 20
 # Patches reach so many pixels of the smaller image around their corners, and need so much contrast: grey levels, the
 # standard deviation. They are alike from this correlation on.
 HALF, CONTRAST, LIKE = 4, 6.0, 0.75
 # Pyramidal Lucas-Kanade: window, pixels, and levels above the image itself. Followed back, a corner is to be this near to
 # where it was, pixels of the smaller image.
 WINDOW, LEVELS, BACK_PX = (15, 15), 3, 0.7
-# A shift of the whole image is looked for in one that is so many times smaller again.
-COARSE = 4
+# Where fewer than this share of the corners agree they may have gone too far to be followed: features are matched by looks.
+ENOUGH = 0.6
 # Pairs of corners whose rotations are tried; a corner agrees with one within this, pixels of the smaller image.
 TRIED, AGREES_PX = 300, 2.0
 # A corner that is displaced by less than this, pixels of the smaller image, stands still.
@@ -125,18 +126,16 @@ def turn_since(backdrop: Backdrop, image: Image, camera: Camera, asked: BoolArra
     before = _directions(camera, pixels)
     limit = AGREES_PX * backdrop.step / camera.focal
     found: tuple[int, FloatArray, FloatArray, BoolArray] | None = None
-    starts = [places, places + _shift(backdrop.small, small)]
-    for _ in range(3):
-        moved = _followed(backdrop.small, small, places, starts.pop(0))
-        now = np.full((len(places), 3), np.nan)
-        seen = np.isfinite(moved).all(axis=1)
-        now[seen] = _directions(camera, moved[seen] * backdrop.step + (backdrop.step - 1) / 2)
-        rotation, agrees = _agreed(before, now, limit)
+    start = places
+    for again in range(3):
+        moved = _followed(backdrop.small, small, places, start)
+        rotation, agrees = _agreed(before, _seen_at(camera, moved, backdrop.step), limit)
         if found is None or agrees.sum() > found[0]:
             found = int(agrees.sum()), rotation, moved, agrees
-        if not starts:
-            # Once more from where the corners should be.
-            starts = [(_turned(camera, found[1], pixels) - (backdrop.step - 1) / 2) / backdrop.step]
+        if again == 0 and agrees.sum() < ENOUGH * len(places):
+            rotation = _looked_up(backdrop, small, camera, limit)
+        # Once more from where the corners should be.
+        start = (_turned(camera, rotation, pixels) - (backdrop.step - 1) / 2) / backdrop.step
     assert found is not None
     count, rotation, moved, agrees = found
     if count < 3:
@@ -173,20 +172,24 @@ class Steadied:
         self.seen: BoolArray = (low >= 0) & (high <= 0)
         kernel = np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), np.uint8)
         self.seen = cv2.erode(self.seen.astype(np.uint8), kernel).astype(bool)
-        self._maps = cv2.convertMaps(source, None, cv2.CV_16SC2)  # type: ignore[call-overload]
+        self._maps: Any = cv2.convertMaps(source, np.empty(0, np.float32), cv2.CV_16SC2)
 
     def __reduce__(self) -> tuple[type[Steadied], tuple[Camera, FloatArray]]:
         return Steadied, (self.camera, self.rotation)
 
     def image(self, image: Image) -> Image:
         """An image (h, w, 3) or (h, w) turned back; outside of `seen` (h, w) there is nothing to be seen in it."""
-        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+        return np.asarray(
+            cv2.remap(image, self._maps[0], self._maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8
+        )
 
     def mask(self, mask: BoolArray | None) -> BoolArray:
         """The object's mask (h, w), None: everywhere, turned back, without what is not seen."""
         if mask is None:
             return self.seen
-        turned = cv2.remap(mask.astype(np.uint8), *self._maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+        turned = cv2.remap(
+            mask.astype(np.uint8), self._maps[0], self._maps[1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT
+        )
         return np.asarray(turned, dtype=bool) & self.seen
 
 
@@ -195,7 +198,9 @@ def _small(image: Image, step: int) -> Image:
     plain = grey(image)
     if step > 1:
         size = plain.shape[1] // step, plain.shape[0] // step
-        plain = np.asarray(cv2.resize(plain[: step * size[1], : step * size[0]], size, interpolation=cv2.INTER_AREA), np.uint8)
+        plain = np.asarray(
+            cv2.resize(plain[: step * size[1], : step * size[0]], size, interpolation=cv2.INTER_AREA), np.uint8
+        )
     return evened(plain)
 
 
@@ -210,12 +215,19 @@ def _patches(image: Image, pixels: FloatArray, step: int) -> tuple[FloatArray, F
     return values / np.maximum(contrast * len(offset), 1e-9)[:, None], contrast
 
 
-def _shift(small: Image, other: Image) -> FloatArray:
-    """(2,) by which all of an image is displaced in another, roughly."""
-    size = small.shape[1] // COARSE, small.shape[0] // COARSE
-    a, b = (cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32) for image in (small, other))
-    shift, _ = cv2.phaseCorrelate(a, b, cv2.createHanningWindow(size, cv2.CV_32F))
-    return COARSE * np.array(shift)
+def _looked_up(backdrop: Backdrop, small: Image, camera: Camera, limit: float) -> FloatArray:
+    """The rotation (3, 3) that most features agree on that look alike in two images, however far they are apart."""
+    a, b = detect(backdrop.small, camera), detect(small, camera)
+    pairs = match_features(a, b)
+    of = [_seen_at(camera, f.pixels[index], backdrop.step) for f, index in zip((a, b), pairs.T, strict=True)]
+    return _agreed(of[0], of[1], limit)[0]
+
+
+def _seen_at(camera: Camera, places: FloatArray, step: int) -> FloatArray:
+    """(n, 3) directions, camera's axes, of places (n, 2) in the smaller image; NaN for those that are NaN."""
+    out, seen = np.full((len(places), 3), np.nan), np.isfinite(places).all(axis=1)
+    out[seen] = _directions(camera, places[seen] * step + (step - 1) / 2)
+    return out
 
 
 def _followed(small: Image, other: Image, places: FloatArray, start: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
 """Cameras that are bumped into while they record: named, and their images turned back.
 
-A camera whose background says that it was nudged (`watch`) is not heard until that is so in two frames in a row. From then on
-its images are turned back before anything else sees them: the camera stands where its calibration says, and all that was
+A camera whose background says that it was nudged (`watch`) is not heard until that is so in two frames in a row. From then
+on its images are turned back before anything else sees them: the camera stands where its calibration says, and all that was
 learnt before holds.
 """
 
@@ -13,6 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from sylpose.frames import FrameSet
+from sylpose.numerics.arrays import FloatArray
+from sylpose.tracking.crew import Crew
 from sylpose.tracking.joint import Joint, Nudge
 from sylpose.tracking.records import Stance
 from sylpose.tracking.region import region_polygon
@@ -29,22 +31,25 @@ def steadied(team: Team, joint: Joint, frames: FrameSet) -> tuple[Joint, FrameSe
     crew, n = team.crew, len(team.rig)
     seen = crew.each(lambda c: team.parts[c].watch.seen(frames.images[c], frames.masks[c]))
     placed = joint.object.center is not None
-    pose = joint.predicted(frames.time) if joint.last is not None else None
-    points = joint.object.points if pose is None else pose.apply(joint.object.points)
+    points = joint.object.points
+    if joint.last is not None:
+        points = joint.predicted(frames.time).apply(points)
 
     def look(c: int) -> Stance:
-        region = region_polygon(team.rig.cameras[c], points, REGION_GROWTH) if placed else None
+        def region() -> FloatArray | None:
+            return region_polygon(team.rig.cameras[c], points, REGION_GROWTH) if placed else None
+
         return team.parts[c].watch.look(seen[c][0], region, frames.index)
 
     told = crew.ask(look)
-    turned = [c for c, stance in enumerate(told) if stance.rotvec is not None]
+    turned = [c for c, stance in enumerate(told) if stance.angle > 0]
     if not turned:
-        return joint, _with(frames, seen)
+        return joint, _with(crew, frames, seen)
     # What moves in most cameras at once is the object, or all of them; of one alone nobody knows, until it is known where
     # the object is.
     if sum(stance.odd for stance in told) > max(n // 2, 1) or (n == 1 and not placed):
         crew.each(lambda c: team.parts[c].watch.forget(PAUSE) if c in turned else None)
-        return joint, _with(frames, seen)
+        return joint, _with(crew, frames, seen)
     certain = [c for c in turned if told[c].certain]
 
     def heard(c: int) -> Seen:
@@ -53,8 +58,8 @@ def steadied(team: Team, joint: Joint, frames: FrameSet) -> tuple[Joint, FrameSe
             return team.parts[c].watch.seen(frames.images[c], frames.masks[c])
         return (None, None) if c in turned else seen[c]
 
-    found = tuple(Nudge(c, told[c].since, float(np.linalg.norm(told[c].rotvec)), told[c].sd) for c in certain)
-    return replace(joint, nudges=(*joint.nudges, *found)), _with(frames, crew.each(heard))
+    found = tuple(Nudge(c, told[c].since, told[c].angle, told[c].sd) for c in certain)
+    return replace(joint, nudges=(*joint.nudges, *found)), _with(crew, frames, crew.each(heard))
 
 
 def with_nudges(team: Team, joint: Joint, decided: Sequence[TrackedFrame]) -> list[TrackedFrame]:
@@ -78,5 +83,6 @@ def with_nudges(team: Team, joint: Joint, decided: Sequence[TrackedFrame]) -> li
     return out
 
 
-def _with(frames: FrameSet, seen: Sequence[Seen]) -> FrameSet:
-    return replace(frames, images=tuple(image for image, _ in seen), masks=tuple(mask for _, mask in seen))
+def _with(crew: Crew, frames: FrameSet, seen: Sequence[Seen]) -> FrameSet:
+    images, masks = crew.each(lambda c: seen[c][0]), crew.each(lambda c: seen[c][1])
+    return replace(frames, images=tuple(images), masks=tuple(masks))

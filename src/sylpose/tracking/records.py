@@ -156,14 +156,14 @@ class Stance:
 
     Attributes:
         odd: whether it does not look as it did.
-        rotvec: (3,) rotation vector, camera's axes, of directions before to those now, where that is a rotation; None else.
+        angle: that it seems to be turned by, radians; 0 where it is nothing like that.
         sd: standard deviation about the axis of which least is known, radians.
-        since: the recording's number of the first frame that showed one.
+        since: the recording's number of the first frame that showed it.
         certain: whether two frames in a row showed the same.
     """
 
     odd: bool = False
-    rotvec: FloatArray | None = None
+    angle: float = 0.0
     sd: float = 0.0
     since: int = 0
     certain: bool = False

@@ -7,6 +7,8 @@ the others (`nudges`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -24,15 +26,15 @@ Seen = tuple[Image | None, BoolArray | None]
 # A camera stands while so many of the corners that stood in the frame before look as they did (measured: of "background",
 # benchmarks/kinds.py, 0.8 at least where it stands, 0.1 at most where it was nudged by a degree).
 STANDS = 0.6
-# It was turned where so many of those asked agree on that, in so many quarters of its image, and no more than so many stand
-# still (choice).
-AGREE, QUARTERS, STILL = 0.6, 3, 0.1
+# It was turned where so many corners and such a share of those asked agree on that, in so many quarters of its image, and no
+# more than such a share stands still (choice).
+LEAST, AGREE, QUARTERS, STILL = 12, 0.6, 3, 0.1
 # A nudge is a displacement by so many pixels in the middle, and by so many standard deviations (choice).
 NUDGE_PX, SURE = 2.0, 10.0
 # Two rotations are one within so many pixels in the middle of the image, or so many standard deviations (choice).
 SAME_PX, SAME_SDS = 0.5, 4.0
-# After so many frames in which a camera does not stand, and nothing is found that it was turned by, it is watched anew; after
-# as many in which it has too little to be watched by, that is looked for again (choice).
+# After so many frames in which a camera does not stand, and nothing is found that it was turned by, it is watched anew;
+# where there is too little to watch it by, that is looked for again after so many (choice).
 PATIENCE, PAUSE = 10, 30
 
 
@@ -64,12 +66,12 @@ class Watch:
             return image, mask
         return self.steady.image(image), self.steady.mask(mask)
 
-    def look(self, image: Image | None, region: FloatArray | None, index: int) -> Stance:
+    def look(self, image: Image | None, region: Callable[[], FloatArray | None], index: int) -> Stance:
         """How the camera stands.
 
         Args:
             image: turned back; None without one.
-            region: (k, 2) the object's outline in it; None where it is not known.
+            region: tells the object's outline in it, (k, 2); None where that is not known.
             index: the recording's number of the frame.
         """
         if image is None:
@@ -80,12 +82,12 @@ class Watch:
                 self._begin(image)
             return Stance()
         like = alike(self.backdrop, image)
-        if like[self.stood].mean() >= STANDS:
+        if (like & self.stood).sum() >= STANDS * self.stood.sum():
             self.stood, self.turned, self.odd = like, None, 0
             if like.sum() < FEWEST:
-                self.forget(0)
+                self.forget(PATIENCE)
             return Stance()
-        turn = turn_since(self.backdrop, image, self.camera, self.stood & ~self._on(region))
+        turn = turn_since(self.backdrop, image, self.camera, self.stood & ~self._on(region()))
         self.odd += 1
         if turn is None or not _is_nudge(turn):
             self.turned = None
@@ -97,7 +99,7 @@ class Watch:
         self.turned = turn
         if self.odd > PATIENCE and not certain:
             self.forget(PAUSE)
-        return Stance(True, _rotvec(turn.rotation), turn.sd, self.since, certain)
+        return Stance(True, _angle(turn.rotation), turn.sd, self.since, certain)
 
     def turn_back(self) -> None:
         """What the last frame showed is a nudge."""
@@ -128,16 +130,16 @@ class Watch:
 
 def _is_nudge(turn: Turn) -> bool:
     """Whether a turn is that of the whole camera, and seen beyond doubt."""
-    most = turn.asked >= FEWEST and turn.agree >= AGREE * turn.asked and turn.still <= STILL * turn.asked
-    sure = np.linalg.norm(_rotvec(turn.rotation)) > SURE * turn.sd
+    most = turn.agree >= LEAST and turn.agree >= AGREE * turn.asked and turn.still <= STILL * turn.asked
+    sure = _angle(turn.rotation) > SURE * turn.sd
     return bool(most and turn.quarters >= QUARTERS and turn.shift_px > NUDGE_PX and sure)
 
 
 def _is_same(one: Turn, other: Turn, camera: Camera) -> bool:
     """Whether two turns are one: the camera stands again."""
-    apart = np.linalg.norm(_rotvec(one.rotation @ other.rotation.T))
+    apart = _angle(one.rotation @ other.rotation.T)
     return bool(apart < max(SAME_PX / camera.focal, SAME_SDS * np.hypot(one.sd, other.sd)))
 
 
-def _rotvec(rotation: FloatArray) -> FloatArray:
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
+def _angle(rotation: FloatArray) -> float:
+    return float(Rotation.from_matrix(rotation).magnitude())
