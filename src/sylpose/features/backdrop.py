@@ -33,6 +33,8 @@ MOST, APART, QUALITY, FEWEST = 120, 0.045, 0.01, 20
 # Patches reach so many pixels of the smaller image around their corners, and need so much contrast: grey levels, the
 # standard deviation. They are alike from this correlation on.
 HALF, CONTRAST, LIKE = 4, 6.0, 0.75
+# Contrast of the smaller images, grey levels: other light is not to be taken for motion.
+EVEN = 30.0
 # Pyramidal Lucas-Kanade: window, pixels, and levels above the image itself. Followed back, a corner is to be this near to
 # where it was, pixels of the smaller image.
 WINDOW, LEVELS, BACK_PX = (15, 15), 3, 0.7
@@ -153,7 +155,7 @@ def turn_since(backdrop: Backdrop, image: Image, camera: Camera, asked: BoolArra
         float(1.0 / np.sqrt(max(np.linalg.eigvalsh(information)[0], 1e-300))),
         int((inside | agrees).sum()),
         count,
-        int((~agrees & (displaced < STILL_PX * backdrop.step)).sum()),
+        int((~agrees & (alike(backdrop, image)[asked] | (displaced < STILL_PX * backdrop.step))).sum()),
         int((np.bincount(quarter, minlength=4) >= max(0.1 * count, 1)).sum()),
         float(np.median(displaced[agrees])),
     )
@@ -194,14 +196,16 @@ class Steadied:
 
 
 def _small(image: Image, step: int) -> Image:
-    """Grey, evened and smaller."""
+    """Grey, smaller, evened, and of the usual contrast."""
     plain = grey(image)
     if step > 1:
         size = plain.shape[1] // step, plain.shape[0] // step
         plain = np.asarray(
             cv2.resize(plain[: step * size[1], : step * size[0]], size, interpolation=cv2.INTER_AREA), np.uint8
         )
-    return evened(plain)
+    even = evened(plain)
+    gain = EVEN / max(float(even.std()), CONTRAST)
+    return np.asarray(cv2.convertScaleAbs(even, alpha=gain, beta=128.0 * (1.0 - gain)), np.uint8)
 
 
 def _patches(image: Image, pixels: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:

@@ -30,14 +30,13 @@ def steadied(team: Team, joint: Joint, frames: FrameSet) -> tuple[Joint, FrameSe
     nudges that have become certain."""
     crew, n = team.crew, len(team.rig)
     seen = crew.each(lambda c: team.parts[c].watch.seen(frames.images[c], frames.masks[c]))
-    placed = joint.object.center is not None
-    points = joint.object.points
-    if joint.last is not None:
-        points = joint.predicted(frames.time).apply(points)
+    center, points = joint.object.center, joint.object.points
+    if center is not None:
+        points = points + center if joint.last is None else joint.predicted(frames.time).apply(points)
 
     def look(c: int) -> Stance:
         def region() -> FloatArray | None:
-            return region_polygon(team.rig.cameras[c], points, REGION_GROWTH) if placed else None
+            return region_polygon(team.rig.cameras[c], points, REGION_GROWTH) if center is not None else None
 
         return team.parts[c].watch.look(seen[c][0], region, frames.index)
 
@@ -47,7 +46,7 @@ def steadied(team: Team, joint: Joint, frames: FrameSet) -> tuple[Joint, FrameSe
         return joint, _with(crew, frames, seen)
     # What moves in most cameras at once is the object, or all of them; of one alone nobody knows, until it is known where
     # the object is.
-    if sum(stance.odd for stance in told) > max(n // 2, 1) or (n == 1 and not placed):
+    if sum(stance.odd for stance in told) > max(n // 2, 1) or (n == 1 and center is None):
         crew.each(lambda c: team.parts[c].watch.forget(PAUSE) if c in turned else None)
         return joint, _with(crew, frames, seen)
     certain = [c for c in turned if told[c].certain]
