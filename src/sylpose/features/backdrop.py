@@ -32,7 +32,7 @@ LONGEST_PX = 480
 MOST, APART, QUALITY, FEWEST = 120, 0.045, 0.01, 20
 # Patches reach so many pixels of the smaller image around their corners, and need so much contrast: grey levels, the
 # standard deviation. They are alike from this correlation on.
-HALF, CONTRAST, LIKE = 4, 6.0, 0.75
+HALF, CONTRAST, LIKE = 4, 10.0, 0.75
 # Contrast of the smaller images, grey levels: other light is not to be taken for motion.
 EVEN = 30.0
 # Pyramidal Lucas-Kanade: window, pixels, and levels above the image itself. Followed back, a corner is to be this near to
@@ -79,7 +79,8 @@ class Turn:
         sd: standard deviation about the axis of which least is known, radians.
         asked: number of corners that were asked, and would still be in the image; agree: how many agree.
         still: how many stand still instead.
-        quarters: in how many quarters of the image a tenth of those that agree is at least.
+        spread: standard deviation of where those that agree are, in the direction in which it is least, over the image's
+            shorter side.
         shift_px: by how much those that agree are displaced, in the middle, pixels of the image.
     """
 
@@ -88,7 +89,7 @@ class Turn:
     asked: int
     agree: int
     still: int
-    quarters: int
+    spread: float
     shift_px: float
 
 
@@ -149,14 +150,13 @@ def turn_since(backdrop: Backdrop, image: Image, camera: Camera, asked: BoolArra
     noise = max(float(np.sqrt(np.mean(off**2))), LEAST_PX * backdrop.step)
     tells = np.einsum("ni,nj->ij", before[agrees], before[agrees])
     information = (count * np.eye(3) - tells) * (camera.focal / noise) ** 2
-    quarter = (pixels[agrees] > size / 2) @ np.array([1, 2])
     return Turn(
         rotation,
         float(1.0 / np.sqrt(max(np.linalg.eigvalsh(information)[0], 1e-300))),
         int((inside | agrees).sum()),
         count,
         int((~agrees & (alike(backdrop, image)[asked] | (displaced < STILL_PX * backdrop.step))).sum()),
-        int((np.bincount(quarter, minlength=4) >= max(0.1 * count, 1)).sum()),
+        float(np.sqrt(max(np.linalg.eigvalsh(np.cov(pixels[agrees].T))[0], 0.0))) / float(size.min()),
         float(np.median(displaced[agrees])),
     )
 
@@ -213,7 +213,7 @@ def _patches(image: Image, pixels: FloatArray, step: int) -> tuple[FloatArray, F
     columns, rows = pixels.astype(np.int64).T
     offset = step * np.arange(-HALF, HALF + 1)
     at = rows[:, None, None] + offset[:, None], columns[:, None, None] + offset
-    values = (image[at] if image.ndim == 2 else image[*at, 1]).reshape(len(pixels), len(offset) ** 2).astype(float)
+    values = image[at].reshape(len(pixels), len(offset) ** 2, -1).sum(axis=2) / (1 if image.ndim == 2 else 3)
     values -= values.mean(axis=1, keepdims=True)
     contrast = np.sqrt((values**2).mean(axis=1))
     return values / np.maximum(contrast * len(offset), 1e-9)[:, None], contrast

@@ -23,12 +23,13 @@ __all__ = ["PAUSE", "Seen", "Watch"]
 # An image, and the object's mask (h, w) in it.
 Seen = tuple[Image | None, BoolArray | None]
 
-# A camera stands while so many of the corners that stood in the frame before look as they did (measured: of "background",
-# benchmarks/kinds.py, 0.8 at least where it stands, 0.1 at most where it was nudged by a degree).
-STANDS = 0.6
-# It was turned where so many corners and such a share of those asked agree on that, in so many quarters of its image, and no
-# more than such a share stands still (choice).
-LEAST, AGREE, QUARTERS, STILL = 12, 0.6, 3, 0.1
+# A camera stands while so many of the corners that stood in the frame before look as they did (measured: of "background" in
+# benchmarks/kinds.py, 0.8 at least where it stands, less than 0.1 where it was nudged by a degree; 0.6 where an object that
+# fills half of the image starts).
+STANDS = 0.4
+# It was turned where so many corners and such a share of those asked agree on that, spread by such a share of its image, and
+# no more than such a share stands still (choice).
+LEAST, AGREE, SPREAD, STILL = 12, 0.6, 0.1, 0.1
 # A nudge is a displacement by so many pixels in the middle, and by so many standard deviations (choice).
 NUDGE_PX, SURE = 2.0, 10.0
 # Two rotations are one within so many pixels in the middle of the image, or so many standard deviations (choice).
@@ -132,7 +133,7 @@ def _is_nudge(turn: Turn) -> bool:
     """Whether a turn is that of the whole camera, and seen beyond doubt."""
     most = turn.agree >= LEAST and turn.agree >= AGREE * turn.asked and turn.still <= STILL * turn.asked
     sure = _angle(turn.rotation) > SURE * turn.sd
-    return bool(most and turn.quarters >= QUARTERS and turn.shift_px > NUDGE_PX and sure)
+    return bool(most and turn.spread >= SPREAD and turn.shift_px > NUDGE_PX and sure)
 
 
 def _is_same(one: Turn, other: Turn, camera: Camera) -> bool:
