@@ -124,7 +124,7 @@ def turn_since(backdrop: Backdrop, image: Image, camera: Camera, asked: BoolArra
     """
     small, size = _small(image, backdrop.step), np.array(camera.size)
     places, pixels = (backdrop.pixels[asked] - (backdrop.step - 1) / 2) / backdrop.step, backdrop.pixels[asked]
-    if len(places) < FEWEST:
+    if len(places) < 3:
         return None
     before = _directions(camera, pixels)
     limit = AGREES_PX * backdrop.step / camera.focal

@@ -45,7 +45,7 @@ class Watch:
     Attributes:
         camera: its calibration.
         backdrop: the corners, as an image had them in which the camera stood; None while it is not watched.
-        stood: (n,) which of them looked alike when the camera last stood.
+        stood: (n,) which of them looked alike when the camera last stood; without those on the object once it does not.
         steady: how its images are turned back, once it was nudged.
         turned: the rotation since the backdrop that the last frame showed, if any; since: the recording's number of the
             first such frame.
@@ -88,7 +88,10 @@ class Watch:
             if like.sum() < FEWEST:
                 self.forget(PATIENCE)
             return Stance()
-        turn = turn_since(self.backdrop, image, self.camera, self.stood & ~self._on(region()))
+        if not self.odd:
+            # Where the object is may be less certain in the frames to come: without this camera.
+            self.stood = self.stood & ~self._on(region())
+        turn = turn_since(self.backdrop, image, self.camera, self.stood)
         self.odd += 1
         if turn is None or not _is_nudge(turn):
             self.turned = None
