@@ -213,7 +213,8 @@ def _patches(image: Image, pixels: FloatArray, step: int) -> tuple[FloatArray, F
     columns, rows = pixels.astype(np.int64).T
     offset = step * np.arange(-HALF, HALF + 1)
     at = rows[:, None, None] + offset[:, None], columns[:, None, None] + offset
-    values = image[at].reshape(len(pixels), len(offset) ** 2, -1).sum(axis=2) / (1 if image.ndim == 2 else 3)
+    values = image[at] if image.ndim == 2 else image[at].mean(axis=3)
+    values = values.reshape(len(pixels), len(offset) ** 2).astype(float)
     values -= values.mean(axis=1, keepdims=True)
     contrast = np.sqrt((values**2).mean(axis=1))
     return values / np.maximum(contrast * len(offset), 1e-9)[:, None], contrast
