@@ -170,6 +170,22 @@ def test_what_is_no_nudge_is_not_taken_for_one(camera: Camera, view: Callable[[i
     assert not any(stance.angle for stance in told)
 
 
+def test_one_that_takes_its_time_is_certain_once_it_rests(camera: Camera) -> None:
+    """Where the object is does not count from the first frame on: without this camera it is known less and less."""
+    watch, asked = Watch(camera), []
+
+    def region() -> FloatArray:
+        asked.append(1)
+        return np.array([[100.0, 60], [220, 60], [220, 180], [100, 180]])
+
+    course = [0.0, 0.0, 0.4, 1.6, 2.2, 1.5, 1.5]
+    told = [watch.look(noisy(after(wall(), camera, d), k), region, k) for k, d in enumerate(course)]
+    assert [stance.certain for stance in told] == [False] * 6 + [True]
+    assert told[-1].since == 2
+    assert np.degrees(told[-1].angle) == pytest.approx(1.5, abs=0.05)
+    assert len(asked) == 1
+
+
 def test_one_that_never_stands_again_is_watched_anew(camera: Camera) -> None:
     swings = [noisy(after(wall(), camera, 3 + 1.5 * np.sin(1.3 * k)), k) for k in range(PATIENCE + 2)]
     watch, told = watched(camera, [wall(), *swings])
