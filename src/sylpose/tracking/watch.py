@@ -34,8 +34,8 @@ LEAST, AGREE, SPREAD, STILL = 12, 0.6, 0.1, 0.1
 NUDGE_PX, SURE = 2.0, 10.0
 # Two rotations are one within so many pixels in the middle of the image, or so many standard deviations (choice).
 SAME_PX, SAME_SDS = 0.5, 4.0
-# After so many frames in which a camera does not stand, and nothing is found that it was turned by, it is watched anew;
-# where there is too little to watch it by, that is looked for again after so many (choice).
+# After so many frames in a row in which a camera does not stand, and it is not certain by what it was turned, it is watched
+# anew, so many frames later; where there is too little to watch it by, that is looked for again after as many (choice).
 PATIENCE, PAUSE = 10, 30
 
 
@@ -91,12 +91,13 @@ class Watch:
         if not self.odd:
             # Where the object is may be less certain in the frames to come: without this camera.
             self.stood = self.stood & ~self._on(region())
-        turn = turn_since(self.backdrop, image, self.camera, self.stood)
+        enough = self.stood.sum() >= LEAST
+        turn = turn_since(self.backdrop, image, self.camera, self.stood) if enough else None
         self.odd += 1
         if turn is None or not _is_nudge(turn):
             self.turned = None
             if self.odd > PATIENCE:
-                self.forget(0)
+                self.forget(PAUSE)
             return Stance(odd=True)
         certain = self.turned is not None and _is_same(turn, self.turned, self.camera)
         self.since = self.since if self.turned is not None else index
