@@ -16,6 +16,7 @@ import av
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.app import text
 from sylpose.app.run import Run, track_session
@@ -24,7 +25,7 @@ from sylpose.capture.streams import Grab
 from sylpose.cli import main
 from sylpose.numerics.arrays import Image
 from sylpose.report.files import read_trajectory
-from sylpose.results import FrameStatus, Trajectory
+from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 from sylpose.sync.offsets import load_offsets
 from tests.conftest import FRAMES
 
@@ -58,6 +59,29 @@ def test_the_summary_counts_what_was_measured(
     said = Run({"object": Trajectory(frames, run.trajectory.camera_names)}, run.files, (), run.seconds)
     text.print_summary(text.make_console(), said, 6)
     assert "4 of 6 frames (1 relocalised), coasting 1, lost 1" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("straight", [0, 3])
+def test_the_summary_says_in_how_many_frames_the_length_is_believed(
+    capsys: pytest.CaptureFixture[str], straight: int
+) -> None:
+    frames = [
+        FramePose(
+            k,
+            k / 30,
+            FrameStatus.TRACKED,
+            RigidTransform.from_translation([0.1 * k, 0, 0]),
+            np.eye(6),
+            np.full(3, 50),
+            np.full(3, 0.4),
+            Observable.NO_LENGTH if k < straight else Observable.ALL,
+        )
+        for k in range(5)
+    ]
+    text.print_summary(text.make_console(), Run({"object": Trajectory(frames, CAMERAS)}, (), (), {"tracking": 1.0}), 5)
+    said = capsys.readouterr().out
+    assert ("not observable in 3 frames: without a turn" in said) == bool(straight)
+    assert ("Length" in said) == bool(straight)
 
 
 def test_images_without_times_are_tracked(session: Path, capsys: pytest.CaptureFixture[str]) -> None:

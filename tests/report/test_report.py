@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -291,6 +293,22 @@ def test_coasting_is_told_from_measuring(tmp_path: Path) -> None:
     assert "coasting in 2" in summary(trajectory)
     plot_trajectory(trajectory, tmp_path / "report.png")
     assert cv2.imread(str(tmp_path / "report.png")) is not None
+
+
+def test_frames_without_a_length_are_shaded(tmp_path: Path) -> None:
+    plain = turning(10, 10)
+    straight = [replace(f, observable=Observable.NO_LENGTH) if 5 <= f.index < 8 else f for f in plain]
+    panel = Figure().add_subplot()
+    (_, _, entry) = plots._shade([panel], Trajectory(straight, NAMES, "m"))
+    assert entry.get_label() == "length not observable"
+    colors = [patch.get_facecolor()[:3] for patch in panel.patches]
+    assert colors.count(to_rgb(plots.STRAIGHT_COLOR)) == 1
+    (strip,) = [p for p in panel.patches if p.get_facecolor()[:3] == to_rgb(plots.STRAIGHT_COLOR)]
+    low, high = strip.get_extents().transformed(panel.transData.inverted()).intervalx
+    assert (low, high) == (pytest.approx(4.5 / 7), pytest.approx(7.5 / 7))
+    assert len(plots._shade([panel], plain)) == 2
+    plot_trajectory(Trajectory(straight, NAMES, "m"), tmp_path / "report.png")
+    assert (tmp_path / "report.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(("axis", "column"), [("y", 0), ("x", 1), ("z", 2)])

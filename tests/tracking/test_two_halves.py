@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from benchmarks.kinds_scenes import turned
 from sylpose.frames import FrameSet
 from sylpose.landmarks.alignment import FIRST_PX, Aligned, OneOfMany, Sights
 from sylpose.methods import features_of
@@ -164,6 +165,22 @@ def test_cameras_with_their_own_images_come_to_the_same(clip: Clip, method: str,
             if wanted.sightings:
                 np.testing.assert_array_equal(found.sightings[c].landmark, wanted.sightings[c].landmark)
                 np.testing.assert_allclose(found.sightings[c].place, wanted.sightings[c].place, rtol=0, atol=1e-9)
+
+
+def test_a_nudged_camera_tells_the_others(clip: Clip) -> None:
+    """That it was, and by how much: its images it turns back alone."""
+    frames = clip.frames()
+    for k in range(4, FRAMES):
+        seen = list(clip.images[k])
+        seen[1] = turned(seen[1], clip.rig.cameras[1], np.radians([0.8, -1.2, 0.5]))
+        frames[k] = replace(frames[k], images=tuple(seen))
+    expected = list(track(frames, clip.rig, clip.boxes))
+    (said,) = expected[-1].pose.faults
+    assert said == "camera cam_1 was nudged at frame 4: the background turned by 1.5 degrees"
+    for of_camera in tracked_by_nodes(clip, frames, "landmarks", with_boxes=True):
+        assert [f.pose.faults for f in of_camera] == [f.pose.faults for f in expected]
+        for found, wanted in zip(of_camera, expected, strict=True):
+            assert_alike(found, wanted)
 
 
 def test_known_depths_are_sent_too(clip: Clip) -> None:

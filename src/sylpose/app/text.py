@@ -234,6 +234,10 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
         facts.append(("Scale", "not observable with one camera: lengths are in units of the object's first distance"))
     elif open_scale:
         facts.append(("Scale", f"not observable in {open_scale} frames: how far the object moved in them is not known"))
+    if believed := sum(f.observable is Observable.NO_LENGTH for f in trajectory):
+        facts.append(
+            ("Length", f"not observable in {believed} frames: without a turn it is what is believed of place and shape")
+        )
     facts += [("" if k else "Cameras", remark) for k, remark in enumerate(remarks(trajectory))]
     return facts
 

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.numerics.compiled import kernel
 
-__all__ = ["Patches", "Tracks", "advance", "begin", "grey"]
+__all__ = ["Patches", "Tracks", "advance", "begin", "evened", "grey"]
 
 Filters = NDArray[np.float32]
 
@@ -247,8 +247,8 @@ def _flow(previous: Image, current: Image, pixels: FloatArray, start: FloatArray
     window = slice(top, bottom), slice(left, right)
     corner = np.array([left, top], dtype=float)
     places, status, _ = cv2.calcOpticalFlowPyrLK(
-        _evened(previous[window]),
-        _evened(current[window]),
+        evened(previous[window]),
+        evened(current[window]),
         (pixels[seen] - corner).astype(np.float32),
         (start[seen] - corner).astype(np.float32),
         winSize=WINDOW,
@@ -260,7 +260,7 @@ def _flow(previous: Image, current: Image, pixels: FloatArray, start: FloatArray
     return flown
 
 
-def _evened(image: Image) -> Image:
+def evened(image: Image) -> Image:
     """Less what is brighter or darker over a wide area: Lucas-Kanade takes a change of the light for motion."""
     around = cv2.blur(image, (EVEN_PX, EVEN_PX))
     return np.asarray(cv2.addWeighted(image, 1.0, around, -1.0, 128.0), dtype=np.uint8)

@@ -28,7 +28,7 @@ X_COLOR, Y_COLOR, Z_COLOR = "#D55E00", "#009E73", "#0072B2"
 # Paul Tol's "muted" colours, for cameras; another dash from the tenth camera on.
 CAMERA_COLORS = ("#332288", "#CC6677", "#117733", "#DDCC77", "#88CCEE", "#882255", "#44AA99", "#999933", "#AA4499")
 DASHES = ("-", "--", ":", "-.")
-NO_POSE_COLOR, PARTIAL_COLOR, COASTING_COLOR = "#BBBBBB", "#F0E442", "#F6D9C2"
+NO_POSE_COLOR, PARTIAL_COLOR, COASTING_COLOR, STRAIGHT_COLOR = "#BBBBBB", "#F0E442", "#F6D9C2", "#D9C7E8"
 INK = "#333333"
 
 # With more frames than this, markers would run into each other.
@@ -213,14 +213,18 @@ def _legend(panel: Axes, handles: list[Line2D] | list[Line2D | Patch]) -> None:
 
 
 def _shade(panels: list[Axes], trajectory: Trajectory) -> list[Patch]:
-    """Strips behind frames that have no pose, coast, or do not tell how far it moved; returns legend entries."""
-    partial = np.array([f.observable is Observable.NO_SCALE for f in trajectory])
+    """Strips behind frames that have no pose, coast, or do not tell how far it moved, in any unit or without a turn; returns
+    legend entries."""
+    partial, straight = (
+        np.array([f.observable is kind for f in trajectory]) for kind in (Observable.NO_SCALE, Observable.NO_LENGTH)
+    )
     entries = []
     coasting = np.array([f.status is FrameStatus.COASTING for f in trajectory])
     for frames, color, label in (
         (~trajectory.solved & ~coasting, NO_POSE_COLOR, "no pose"),
         (coasting, COASTING_COLOR, "coasting: not seen, carried on"),
         (partial, PARTIAL_COLOR, Observable.NO_SCALE.value),
+        (straight, STRAIGHT_COLOR, Observable.NO_LENGTH.value),
     ):
         for start, stop in _strips(trajectory.times, frames):
             for panel in panels:

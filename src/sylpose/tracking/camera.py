@@ -32,6 +32,7 @@ from sylpose.tracking.frame import (
     standing,
 )
 from sylpose.tracking.region import polygon_mask
+from sylpose.tracking.watch import Watch
 
 __all__ = ["CameraPart", "SeenAgain", "View", "have_moved", "still_of"]
 
@@ -148,6 +149,7 @@ class CameraPart:
             what is later seen at the same place is background.
         noise_px: of its keypoints, as the frames so far have it.
         view: image and mask of the last solved frame, until all is found in it that there is.
+        watch: whether it stands, whatever becomes of the object.
     """
 
     def __init__(self, index: int, camera: Camera) -> None:
@@ -158,6 +160,7 @@ class CameraPart:
         self.table = LandmarkTable()
         self.noise_px = 0.0
         self.view: View = (None, None)
+        self.watch = Watch(camera)
 
     @property
     def still_px(self) -> float:

@@ -20,7 +20,7 @@ from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.records import Agreed
 from sylpose.tracking.velocity import Velocity
 
-__all__ = ["MIN_MOVED", "Joint", "covariance_with_references"]
+__all__ = ["MIN_MOVED", "Joint", "Nudge", "covariance_with_references"]
 
 # An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
 # (object's radii) is less certain than this (choice).
@@ -32,6 +32,21 @@ RECENT = 8
 # A pose is the object's, and not the background's, when so many of the features that agree with it have moved with it, and
 # this share of them (choice).
 MIN_MOVED, MOVED_SHARE = 8, 0.04
+
+
+@dataclass(frozen=True, eq=False)
+class Nudge:
+    """A camera that was turned while it recorded.
+
+    Attributes:
+        camera: index in the rig; frame: the recording's number of the first frame after it.
+        angle: that its background turned by, radians; sd: standard deviation of that, about the axis known least.
+    """
+
+    camera: int
+    frame: int
+    angle: float
+    sd: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +68,7 @@ class Joint:
         proven: whether it was ever seen to move against what stands still.
         first_motion: since the first frame as the last one had it, while boxes are all that is known of its depth.
         only_still: whether in the frame at hand only what never moved agreed with a pose.
+        nudges: of cameras, in order of time.
     """
 
     object: ObjectModel = field(default_factory=ObjectModel)
@@ -68,6 +84,7 @@ class Joint:
     proven: bool = False
     first_motion: RigidTransform | None = None
     only_still: bool = False
+    nudges: tuple[Nudge, ...] = ()
 
     @property
     def base(self) -> SolvedFrame:

@@ -31,6 +31,7 @@ from sylpose.tracking.find import (
 from sylpose.tracking.frame import Frame, Pair, match_pair, standing
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.learn import accept_first, accepted, first_points, not_found, told_by_matches
+from sylpose.tracking.nudges import steadied, with_nudges
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.start import FirstMotion, agree, first_motion, is_ambiguous, jitter_of
 from sylpose.tracking.team import MAX_GROWTH, REGION_GROWTH, Region, Team, features_of, regions_of, split
@@ -73,10 +74,13 @@ def next_frame(
     team: Team, joint: Joint, waiting: Sequence[Waiting], number: int, frames: FrameSet
 ) -> tuple[Joint, Sequence[Waiting], list[TrackedFrame]]:
     """The next frame, on whichever way it has to go; see `start`."""
+    joint, frames = steadied(team, joint, frames)
     if joint.last is None:
-        return start(team, joint, waiting, number, frames)
-    joint, tracked = (recover if joint.missed else steady)(team, joint, number, frames)
-    return joint, [], [tracked]
+        joint, waiting, decided = start(team, joint, waiting, number, frames)
+    else:
+        joint, tracked = (recover if joint.missed else steady)(team, joint, number, frames)
+        waiting, decided = [], [tracked]
+    return joint, waiting, with_nudges(team, joint, decided)
 
 
 # --- every frame but the first ones -----------------------------------------------------------------------------------
@@ -234,7 +238,7 @@ def start(
             clear = (found.whole or found.shift_px > FIRST_PX) and agree(waiting[-2].motion, found.motion)
             begun = _begun(team, waiting, pairs, found) if clear or over else None
             if begun is not None:
-                return begun[0], [], begun[1]
+                return replace(begun[0], nudges=joint.nudges), [], begun[1]
         status = found.nothing
     if len(waiting) <= PATIENCE:
         return joint, _lighter(waiting), []

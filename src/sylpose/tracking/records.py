@@ -14,7 +14,7 @@ from sylpose.landmarks.alignment import Sights
 from sylpose.numerics.arrays import FloatArray
 from sylpose.two_frames.terms import TermData
 
-__all__ = ["Ages", "Agreed", "Chance", "Following", "Known", "Moved", "Recognised", "total_ages"]
+__all__ = ["Ages", "Agreed", "Chance", "Following", "Known", "Moved", "Recognised", "Stance", "total_ages"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,3 +148,22 @@ class Recognised:
 
     points: FloatArray
     pixels: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """How one camera stands, for all that its background shows.
+
+    Attributes:
+        odd: whether it does not look as it did.
+        angle: that it seems to be turned by, radians; 0 where it is nothing like that.
+        sd: standard deviation about the axis of which least is known, radians.
+        since: the recording's number of the first frame that showed it.
+        certain: whether two frames in a row showed the same.
+    """
+
+    odd: bool = False
+    angle: float = 0.0
+    sd: float = 0.0
+    since: int = 0
+    certain: bool = False

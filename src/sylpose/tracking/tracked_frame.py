@@ -37,7 +37,7 @@ class TrackedFrame:
 
     Attributes:
         pose: the result.
-        frames: the images it was found in.
+        frames: the images it was found in, those of a camera that was nudged turned back.
         matches: per camera (previous pixels (n, 2), current pixels (n, 2)) of the inliers against the last solved
             frame, or None.
         regions: per camera the outline (k, 2) that was searched, pixels; None for the whole image or none of it.

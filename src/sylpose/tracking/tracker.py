@@ -14,6 +14,7 @@ from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.crew import OneProcess
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.joint import Joint
+from sylpose.tracking.nudges import with_nudges
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.phases import Waiting, finish, next_frame
 from sylpose.tracking.team import Team
@@ -121,4 +122,4 @@ class Tracker:
     def flush(self) -> list[TrackedFrame]:
         """The frames still undecided at the recording's end: the object moved little, or never."""
         waiting, self._waiting = self._waiting, []
-        return finish(self._team, waiting)
+        return with_nudges(self._team, self._joint, finish(self._team, waiting))
