@@ -132,7 +132,7 @@ def begin_anchor(number: int, current: CameraFrame, image: Image | None, before:
     # Without an image nothing can be begun.
     new = begin(np.zeros((1, 1), np.uint8) if image is None else image, current.features.pixels[known:])
     tracks = new if before is None else before.tracks.subset(before.rows).join(new)
-    return CameraAnchor(number, current, tracks, _some(tracks.followed, known), image)
+    return CameraAnchor(number, current, tracks, _some(tracks.followed & ~current.background, known), image)
 
 
 def _grey(image: Image | None) -> Image | None:

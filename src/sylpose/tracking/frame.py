@@ -261,6 +261,12 @@ def learn_background(pair: Pair, current: CameraFrame, background: BoolArray) ->
     current.background[pair.indices[background, 1]] = True
 
 
+def learn_only(pairs: Sequence[Pair], current: CameraFrame) -> None:
+    """Marks all of a frame's features but those of some matches as background."""
+    own = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in pairs)])
+    current.background[np.setdiff1d(np.arange(len(current.features)), own)] = True
+
+
 def _moved_px(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTransform, radius: float) -> FloatArray:
     """(n,) by how much each match would move at least if it were on the object, pixels, at any depth of it."""
     middle = camera.camera_from_world.apply(before.translation)[2]

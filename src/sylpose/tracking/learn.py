@@ -16,7 +16,7 @@ from sylpose.results import FramePose, FrameStatus, Observable, Status
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.camera import SeenAgain
 from sylpose.tracking.find import Found, on_the_move
-from sylpose.tracking.frame import Frame, Pair, SolvedFrame, triangulate
+from sylpose.tracking.frame import Frame, Pair, SolvedFrame, learn_only, triangulate
 from sylpose.tracking.joint import Joint, covariance_with_references
 from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.records import total_ages
@@ -227,6 +227,7 @@ def told_by_matches(
     """
     if not joint.object.guessed and joint.velocity.frames:
         return joint, None, guess, pairs
+    guessed = joint.object.guessed
     joint, found = _with_surface(team, joint, frame, pairs)
     seen = None if found is None else found.motion * joint.keyframes[0].world_from_object
 
@@ -237,11 +238,14 @@ def told_by_matches(
     left: Sequence[Sequence[Pair]] = team.crew.each(on_it)
     if found is None or seen is None:
         return joint, None, guess, left
-    if not joint.velocity.frames:
-        # The first motion: what does not take part in it is background, however much of the boxes it fills. Some of what
-        # stands still would agree with a motion that is hardly another one, as points at which the object hardly moves, so
-        # only what is seen to move tells more of it; other methods need every match.
+    if not joint.velocity.frames or joint.object.guessed < guessed:
+        # The first motion that tells of the surface: what does not take part in it is background, however much of the boxes
+        # it fills. Some of what stands still would agree with a motion that is hardly another one, as points at which the
+        # object hardly moves, so only what is seen to move tells more of it; other methods need every match.
         left = found.inliers if team.refines else on_the_move(team, joint, frame, left, seen)
+        if team.refines and joint.object.bounded:
+            # Of what is new in the boxes nobody knows whether it is the object: the next frames tell.
+            team.crew.each(lambda c: learn_only(left[c], frame.cameras[c]))
     return joint, seen, seen, left
 
 

@@ -80,7 +80,11 @@ def refined(team: Team, joint: Joint) -> Joint:
     last, at = joint.base, numbers.index(joint.base.number)  # of frames that waited, it is not the last one
     off = _moved(last, bundled.world_from_object[at])
     near = np.linalg.norm(off[:3]) < MAX_TURN and np.linalg.norm(off[3:]) < MAX_SHIFT * joint.object.radius
-    if len(frames) < LEAST or bundled.status is not Status.OK or not near:
+    settled = len(frames) >= LEAST and bundled.status is Status.OK and near
+    if settled and _tells_surface(bundled, names):
+        joint = replace(joint, object=replace(joint.object, guessed=False))
+    # What is seen in boxes may be the mirror image of a turn, and settle there as well.
+    if not settled or joint.object.guessed:
         if not bundled.tied[at]:
             return joint
         # Two ways of using the same matches: a pose is no better known than they agree on it.
@@ -104,17 +108,19 @@ def refined(team: Team, joint: Joint) -> Joint:
             team.parts[c].table.place(told[c].known, bundled.landmarks[mine])
 
     team.crew.each(learn)
-    # Two cameras may agree on the mirror image of a small turn, with hollow for round.
-    told_apart = len(np.unique(names)) > 2
-    return (_told(joint, bundled) if told_apart else joint).moved(moved)
+    return joint.moved(moved)
 
 
-def _told(joint: Joint, bundled: Bundled) -> Joint:
-    """After a turn that several cameras agree on, more than boxes tells where the object's surface is."""
-    turned = (bundled.world_from_object.rotation * bundled.world_from_object.rotation[0].inv()).magnitude().max()
-    if turned < SMALL_TURN or length_is_open(bundled):
-        return joint
-    return replace(joint, object=replace(joint.object, guessed=False))
+def _tells_surface(bundled: Bundled, names: IntArray) -> bool:
+    """Whether more than boxes tells where the object's surface is: after a turn that more than two cameras agree on. Two may
+    agree on its mirror image, with hollow for round.
+
+    Args:
+        names: (m,) whose landmarks they are.
+    """
+    poses = bundled.world_from_object
+    turned = (poses.rotation * poses.rotation[0].inv()).magnitude().max()
+    return bool(turned > SMALL_TURN) and len(np.unique(names)) > 2 and not length_is_open(bundled)
 
 
 def _moved(last: SolvedFrame, after: RigidTransform) -> FloatArray:
