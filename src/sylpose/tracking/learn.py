@@ -267,7 +267,7 @@ def _with_surface(
     found = first_motion(crew, team.rig, pairs, first.number, team.rng())
     # Something else than the object may pass by behind it.
     far = np.linalg.norm(found.middle - first.world_from_object.translation) > joint.object.radius
-    if not found.certain or found.fit.mixed or far:
+    if not found.certain or found.fit.mixed or found.fit.other is not None or far:
         return joint, None
     before, now = first.world_from_object, found.motion * first.world_from_object
 

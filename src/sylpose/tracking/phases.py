@@ -299,7 +299,8 @@ def _begun(
     (first, first_frames, _), *others = waiting
     before = RigidTransform.from_translation(found.middle)
     now = found.motion * before
-    model = ObjectModel(found.middle, found.radius)
+    # Where another motion says as much, how deep the surface is depends on which of them it is.
+    model = ObjectModel(found.middle, found.radius, guessed=found.fit.other is not None)
     points = crew.ask(lambda c: first_points(team, c, found.inliers[c], before, now))
     joint = Joint(model.with_points(np.concatenate(points), team.seed))
     regions = regions_of(team, joint, before)
