@@ -111,7 +111,8 @@ def smooth(
         ValueError: `recalibrate` or `moved` cameras without a doubt.
     """
     nothing = np.zeros(len(rig))
-    used = [k for k, frame in enumerate(frames) if frame.pose.measured and len(frame.sightings)]
+    # A frame that taught nothing (before the object was seen to move) would only bend the way between its neighbours.
+    used = [k for k, f in enumerate(frames) if f.pose.measured and any(len(seen.landmark) for seen in f.sightings)]
     poses = [frame.pose for frame in frames]
     if len(used) < 2:
         return Smoothed(tuple(poses), Status.TOO_FEW_MATCHES, nothing, nothing, np.full(len(rig), np.nan), 0)
