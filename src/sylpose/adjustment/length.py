@@ -26,7 +26,7 @@ ENOUGH_DRAWS = 24
 
 def told_by_noise(problem: Problem, fit: Fit, summary: Summary, tied: BoolArray) -> bool:
     """Whether where the surfaces are is told by noise; so it is where nothing tells it."""
-    turns = fit.state.turns @ fit.state.turns[np.flatnonzero(problem.sightings.free < 0)[0]].T
+    turns = fit.state.turns @ fit.state.turns[problem.fixed].T
     turned = float((Rotation.from_matrix(turns[tied]).magnitude() ** 2).mean())
     noise = float(np.trace(summary.covariance[tied, :3, :3], axis1=1, axis2=2).mean())
     if turned > PLAIN_TURNS**2 * noise:
@@ -53,7 +53,7 @@ def noise_share(problem: Problem, fit: Fit, summary: Summary, tied: BoolArray) -
     right = problem.rotations[0, 0]
     aside = right * np.copysign(problem.radius, right @ (state.places[-1] - state.places[0]))
     given = replace(state, places=state.places + np.linspace(0.0, 1.0, len(roots))[:, None] * aside)
-    still, draws = state.turns[np.flatnonzero(seen.free < 0)[0]], max(1, ENOUGH_DRAWS // len(roots))
+    still, draws = state.turns[problem.fixed], max(1, ENOUGH_DRAWS // len(roots))
     noise = np.zeros(2)
     for _ in range(draws):
         turn = Rotation.from_rotvec(np.einsum("nij,nj->ni", roots, rng.standard_normal((len(roots), 3))))
@@ -66,7 +66,7 @@ def noise_share(problem: Problem, fit: Fit, summary: Summary, tied: BoolArray) -
 def _told_of_length(problem: Problem, state: State, scaled: FloatArray, tied: BoolArray) -> float:
     """Information about the path's length relative to itself, when nothing is believed of the surfaces."""
     nothing, moving = np.full(2, (SIDE_RADII * problem.radius) ** -2.0), problem.sightings.free >= 0
-    path = np.where(tied[:, None], state.places - state.places[np.flatnonzero(~moving)[0]], 0.0)[moving]
+    path = np.where(tied[:, None], state.places - state.places[problem.fixed], 0.0)[moving]
     solver = problem.system(state, problem.views(state), scaled, nothing).solver()
     return float((path**2).sum()) ** 2 / solver.variance(np.hstack([np.zeros_like(path), path]))
 

@@ -108,6 +108,11 @@ class Problem:
     focals: FloatArray
 
     @property
+    def fixed(self) -> int:
+        """The first frame that stays where it is."""
+        return int(np.flatnonzero(self.sightings.free < 0)[0])
+
+    @property
     def pull(self) -> FloatArray:
         """(2,) information, 1/length², that a landmark is on its viewer's surface, and that it is at the origin."""
         held = bool(self.shared.held[self.shared.depths].any())
@@ -249,7 +254,7 @@ class Problem:
     ) -> tuple[float, float]:
         """Relative standard deviation of the path's length, and the share it has in the displacements' variance."""
         moving = self.sightings.free >= 0
-        path = np.where(tied[:, None], state.places - state.places[np.flatnonzero(~moving)[0]], 0.0)[moving]
+        path = np.where(tied[:, None], state.places - state.places[self.fixed], 0.0)[moving]
         square = float((path**2).sum())
         if not square > 0.0:
             return np.inf, 0.0

@@ -110,7 +110,7 @@ def read(data: dict[str, Any], path: Path) -> Rig:
     unit = data.get("unit", "")
     if not isinstance(unit, str):
         raise ValueError(f"{path}: unit must be a string, got {unit!r}")
-    whole = _error(data, f"{path}")
+    whole = _error(data, str(path))
     return make_rig(path, [_camera(node, name, path, whole) for name, node in nodes], unit)
 
 

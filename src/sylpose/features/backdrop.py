@@ -102,7 +102,7 @@ def begin(image: Image, where: BoolArray | None = None) -> Backdrop:
         mask = mask[: small.shape[0], : small.shape[1]]
     corners: Any = cv2.goodFeaturesToTrack(small, MOST, QUALITY, APART * max(small.shape), mask=mask)
     places = np.empty((0, 2)) if corners is None else np.asarray(corners, dtype=float).reshape(-1, 2)
-    pixels = np.round(places * step + (step - 1) / 2)
+    pixels = np.round(_in_image(places, step))
     reach = step * HALF
     inside = ((pixels >= reach) & (pixels < np.array(image.shape[1::-1]) - reach)).all(axis=1)
     patches, contrast = _patches(image, pixels[inside], step)
@@ -123,7 +123,8 @@ def turn_since(backdrop: Backdrop, image: Image, camera: Camera, asked: BoolArra
         asked: (n,) which of the corners.
     """
     small, size = _small(image, backdrop.step), np.array(camera.size)
-    places, pixels = (backdrop.pixels[asked] - (backdrop.step - 1) / 2) / backdrop.step, backdrop.pixels[asked]
+    pixels = backdrop.pixels[asked]
+    places = _in_small(pixels, backdrop.step)
     if len(places) < 3:
         return None
     before = _directions(camera, pixels)
@@ -138,7 +139,7 @@ def turn_since(backdrop: Backdrop, image: Image, camera: Camera, asked: BoolArra
         if again == 0 and agrees.sum() < ENOUGH * len(places):
             rotation = _looked_up(backdrop, small, camera, limit)
         # Once more from where the corners should be.
-        start = (_turned(camera, rotation, pixels) - (backdrop.step - 1) / 2) / backdrop.step
+        start = _in_small(_turned(camera, rotation, pixels), backdrop.step)
     assert found is not None
     count, rotation, moved, agrees = found
     if count < 3:
@@ -146,7 +147,7 @@ def turn_since(backdrop: Backdrop, image: Image, camera: Camera, asked: BoolArra
     there = _turned(camera, rotation, pixels)
     inside = ((there >= 0) & (there <= size - 1)).all(axis=1)
     displaced = backdrop.step * np.linalg.norm(moved - places, axis=1)
-    off = there[agrees] - (moved[agrees] * backdrop.step + (backdrop.step - 1) / 2)
+    off = there[agrees] - _in_image(moved[agrees], backdrop.step)
     noise = max(float(np.sqrt(np.mean(off**2))), LEAST_PX * backdrop.step)
     tells = np.einsum("ni,nj->ij", before[agrees], before[agrees])
     information = (count * np.eye(3) - tells) * (camera.focal / noise) ** 2
@@ -208,6 +209,16 @@ def _small(image: Image, step: int) -> Image:
     return np.asarray(cv2.convertScaleAbs(even, alpha=gain, beta=128.0 * (1.0 - gain)), np.uint8)
 
 
+def _in_small(pixels: FloatArray, step: int) -> FloatArray:
+    """Pixels (n, 2) of an image as those of the smaller one."""
+    return np.asarray((pixels - (step - 1) / 2) / step)
+
+
+def _in_image(places: FloatArray, step: int) -> FloatArray:
+    """Pixels (n, 2) of the smaller image as those of the image."""
+    return np.asarray(places * step + (step - 1) / 2)
+
+
 def _patches(image: Image, pixels: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
     """(n, s) of norm one, and (n,) their contrast, grey levels: every `step`th pixel around whole pixels (n, 2)."""
     columns, rows = pixels.astype(np.int64).T
@@ -231,7 +242,7 @@ def _looked_up(backdrop: Backdrop, small: Image, camera: Camera, limit: float) -
 def _seen_at(camera: Camera, places: FloatArray, step: int) -> FloatArray:
     """(n, 3) directions, camera's axes, of places (n, 2) in the smaller image; NaN for those that are NaN."""
     out, seen = np.full((len(places), 3), np.nan), np.isfinite(places).all(axis=1)
-    out[seen] = _directions(camera, places[seen] * step + (step - 1) / 2)
+    out[seen] = _directions(camera, _in_image(places[seen], step))
     return out
 
 

@@ -11,7 +11,19 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.rig import Camera
 
-__all__ = ["AXIS_COLORS", "DARK", "GREY", "WHITE", "draw_axes", "draw_matches", "pen", "polyline", "project", "write"]
+__all__ = [
+    "AXIS_COLORS",
+    "DARK",
+    "GREY",
+    "WHITE",
+    "draw_axes",
+    "draw_matches",
+    "in_colour",
+    "pen",
+    "polyline",
+    "project",
+    "write",
+]
 
 Color = tuple[int, int, int]
 Matches = tuple[FloatArray, FloatArray]
@@ -114,6 +126,11 @@ def write(
             cv2.putText(picture, words, beside, cv2.FONT_HERSHEY_SIMPLEX, size, DARK, pen(size), cv2.LINE_AA)
     cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, size, color, pen(size), cv2.LINE_AA)
     return int(width)
+
+
+def in_colour(image: Image) -> Image:
+    """An image (h, w, 3) BGR or (h, w) grey as one with colours."""
+    return image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
 def polyline(picture: Image, line: FloatArray, color: Color, width: int, closed: bool = False) -> None:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray, Image
-from sylpose.report.drawing import AXIS_COLORS, DARK, WHITE, polyline, write
+from sylpose.report.drawing import AXIS_COLORS, DARK, WHITE, in_colour, polyline, write
 
 __all__ = ["draw_followed"]
 
@@ -35,8 +35,9 @@ def draw_followed(
             tiles.append(np.full((HEIGHT, HEIGHT, 3), DARK, np.uint8))
         else:
             scale = HEIGHT / image.shape[0]
-            colour = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
-            tiles.append(np.asarray(cv2.resize(colour, (max(1, round(scale * image.shape[1])), HEIGHT)), np.uint8))
+            tiles.append(
+                np.asarray(cv2.resize(in_colour(image), (max(1, round(scale * image.shape[1])), HEIGHT)), np.uint8)
+            )
             if outline is not None:
                 polyline(tiles[-1], (outline + 0.5) * scale - 0.5, AXIS_COLORS[1], 2, closed=True)
         write(tiles[-1], name, (8, 22), 0.6, WHITE)

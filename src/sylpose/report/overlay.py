@@ -17,7 +17,7 @@ from av.video.reformatter import Colorspace
 
 from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.report.disagreement import DOUBTED
-from sylpose.report.drawing import DARK, GREY, WHITE, draw_axes, draw_matches, pen, polyline, write
+from sylpose.report.drawing import DARK, GREY, WHITE, draw_axes, draw_matches, in_colour, pen, polyline, write
 from sylpose.report.files import writing
 from sylpose.results import FramePose, FrameStatus, Observable
 from sylpose.rig import Camera, Rig
@@ -270,8 +270,7 @@ def _place(tile: Image, camera: Camera, image: Image | None) -> Image:
         raise ValueError(
             f"camera {camera.name}: the image is {image.shape[1]}x{image.shape[0]}, its calibration {width}x{height}"
         )
-    colored = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
-    inner[:] = cv2.resize(colored, (w, h), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    inner[:] = cv2.resize(in_colour(image), (w, h), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
     return inner
 
 

@@ -32,12 +32,9 @@ from sylpose.tracking.frame import (
     standing,
 )
 from sylpose.tracking.region import polygon_mask
-from sylpose.tracking.watch import Watch
+from sylpose.tracking.watch import View, Watch
 
-__all__ = ["CameraPart", "SeenAgain", "View", "have_moved", "still_of"]
-
-# An image, and the mask (h, w) of the object in it.
-View = tuple[Image | None, BoolArray | None]
+__all__ = ["CameraPart", "SeenAgain", "have_moved", "still_of"]
 
 # Landmarks whose depth is known to this share of the object's radius show where its surface is (choice).
 KNOWN_DEPTH = 0.1

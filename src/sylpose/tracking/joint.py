@@ -27,8 +27,6 @@ __all__ = ["MIN_MOVED", "Joint", "Nudge", "covariance_with_references"]
 MAX_COASTING, COASTING_TURN, COASTING_SHIFT = 15, 0.35, 1.0
 # Frames besides the keyframes that are refined with them (choice).
 RECENT = 8
-
-
 # A pose is the object's, and not the background's, when so many of the features that agree with it have moved with it, and
 # this share of them (choice).
 MIN_MOVED, MOVED_SHARE = 8, 0.04

@@ -229,24 +229,26 @@ def told_by_matches(
         return joint, None, guess, pairs
     guessed = joint.object.guessed
     joint, found = _with_surface(team, joint, frame, pairs)
-    seen = None if found is None else found.motion * joint.keyframes[0].world_from_object
 
     def on_it(c: int) -> list[Pair]:
         known = [pair for pair in pairs[c] if pair.reference in joint.known]
         return [pair.subset(~frame.cameras[c].background[pair.indices[:, 1]]) for pair in known]
 
-    left: Sequence[Sequence[Pair]] = team.crew.each(on_it)
-    if found is None or seen is None:
-        return joint, None, guess, left
-    if not joint.velocity.frames or joint.object.guessed < guessed:
-        # The first motion that tells of the surface: what does not take part in it is background, however much of the boxes
-        # it fills. Some of what stands still would agree with a motion that is hardly another one, as points at which the
-        # object hardly moves, so only what is seen to move tells more of it; other methods need every match.
-        left = found.inliers if team.refines else on_the_move(team, joint, frame, left, seen)
-        if team.refines and joint.object.bounded:
-            # Of what is new in the boxes nobody knows whether it is the object: the next frames tell.
-            team.crew.each(lambda c: learn_only(left[c], frame.cameras[c]))
-    return joint, seen, seen, left
+    if found is None:
+        return joint, None, guess, team.crew.each(on_it)
+    seen = found.motion * joint.keyframes[0].world_from_object
+    told_now = guessed and not joint.object.guessed
+    if joint.velocity.frames and not told_now:
+        return joint, seen, seen, team.crew.each(on_it)
+    # The first motion that tells of the surface: what does not take part in it is background, however much of the boxes it
+    # fills. Some of what stands still would agree with a motion that is hardly another one, as points at which the object
+    # hardly moves, so only what is seen to move tells more of it; other methods need every match.
+    if not team.refines:
+        return joint, seen, seen, on_the_move(team, joint, frame, team.crew.each(on_it), seen)
+    if joint.object.bounded:
+        # Of what is new in the boxes nobody knows whether it is the object: the next frames tell.
+        team.crew.each(lambda c: learn_only(found.inliers[c], frame.cameras[c]))
+    return joint, seen, seen, found.inliers
 
 
 def _with_surface(

@@ -20,7 +20,7 @@ from sylpose.tracking.records import Stance
 from sylpose.tracking.region import region_polygon
 from sylpose.tracking.team import REGION_GROWTH, Team
 from sylpose.tracking.tracked_frame import TrackedFrame
-from sylpose.tracking.watch import PAUSE, Seen
+from sylpose.tracking.watch import PAUSE, View
 
 __all__ = ["steadied", "with_nudges"]
 
@@ -51,7 +51,7 @@ def steadied(team: Team, joint: Joint, frames: FrameSet) -> tuple[Joint, FrameSe
         return joint, _with(crew, frames, seen)
     certain = [c for c in turned if told[c].certain]
 
-    def heard(c: int) -> Seen:
+    def heard(c: int) -> View:
         if c in certain:
             team.parts[c].watch.turn_back()
             return team.parts[c].watch.seen(frames.images[c], frames.masks[c])
@@ -82,6 +82,6 @@ def with_nudges(team: Team, joint: Joint, decided: Sequence[TrackedFrame]) -> li
     return out
 
 
-def _with(crew: Crew, frames: FrameSet, seen: Sequence[Seen]) -> FrameSet:
+def _with(crew: Crew, frames: FrameSet, seen: Sequence[View]) -> FrameSet:
     images, masks = crew.each(lambda c: seen[c][0]), crew.each(lambda c: seen[c][1])
     return replace(frames, images=tuple(images), masks=tuple(masks))

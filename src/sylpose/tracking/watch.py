@@ -18,10 +18,10 @@ from sylpose.rig import Camera
 from sylpose.tracking.records import Stance
 from sylpose.tracking.region import polygon_mask
 
-__all__ = ["PAUSE", "Seen", "Watch"]
+__all__ = ["PAUSE", "View", "Watch"]
 
 # An image, and the object's mask (h, w) in it.
-Seen = tuple[Image | None, BoolArray | None]
+View = tuple[Image | None, BoolArray | None]
 
 # A camera stands while so many of the corners that stood in the frame before look as they did (measured: of "background" in
 # benchmarks/kinds.py, 0.8 at least where it stands, less than 0.1 where it was nudged by a degree; 0.6 where an object that
@@ -61,7 +61,7 @@ class Watch:
         self.turned: Turn | None = None
         self.since = self.odd = self.pause = 0
 
-    def seen(self, image: Image | None, mask: BoolArray | None) -> Seen:
+    def seen(self, image: Image | None, mask: BoolArray | None) -> View:
         """An image and the object's mask in it, turned back as far as the camera is known to be turned."""
         if image is None or self.steady is None:
             return image, mask
