@@ -63,6 +63,7 @@ class Setting(NamedTuple):
     kind: str = "uniform"
     moves_px: float = 0.0
     matches: int = 60
+    noise_px: float = 0.5
 
 
 def _zigzag(n: int) -> Rig:
@@ -77,6 +78,12 @@ SETTINGS = {
         for turn in (3, 8)
     },
     "board, 4 cameras 10 apart, turn 5": Setting(arc(4, 10), plane()),
+    **{
+        f"board, 2 cameras 35 apart, 2 m, turn {turn}, outliers 10 %": Setting(
+            arc(2, 35, 2.0), plane(), float(turn), 0.02, outliers=0.1, noise_px=0.15
+        )
+        for turn in (5, 15, 25)
+    },
     **{
         f"{name}, {n} cameras {apart} apart": Setting(arc(n, apart), body)
         for n in (2, 3, 4)
@@ -133,6 +140,7 @@ def scene(setting: Setting, seed: int) -> tuple[SimulatedPair, Rig]:
         motion,
         rng=rng,
         per_camera=setting.matches,
+        noise_px=setting.noise_px,
         outliers=setting.outliers,
         outlier_kind=setting.kind,  # type: ignore[arg-type]
         start=start,

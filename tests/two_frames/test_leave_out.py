@@ -63,14 +63,16 @@ def only_bad_is_named(found: Motion, rig: Rig) -> bool:
 @pytest.mark.parametrize("cameras", [4, 6])
 def test_a_wrong_calibration_is_named_and_left_out(cameras: int, angle: float) -> None:
     rig, ratios, named = around(cameras), [], 0
-    for seed in range(8):
+    # What is hardly wrong shows in some scenes, and not in others.
+    scenes = 24 if angle < 10 else 8
+    for seed in range(scenes):
         pair = scene(rig, seed)
         found = estimate_motion(turned(rig, angle, seed), pair.matches)
         ratios.append(degrees(error(pair, found)) / by_hand(rig, pair))
         named += only_bad_is_named(found, rig)
     assert np.median(ratios) < 2.0
-    # What is hardly wrong does not always show, least with few cameras: a regression, as are the figures.
-    assert named >= {5.0: 1, 10.0: 4}.get(angle, 6)
+    # Least with few cameras: a regression, as are the figures.
+    assert named >= {5.0: 8, 10.0: 4}.get(angle, 6)
 
 
 @pytest.mark.parametrize("cameras", [3, 4, 6])

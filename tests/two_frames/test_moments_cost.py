@@ -232,7 +232,9 @@ def test_the_variance_along_the_line_equals_a_loop_over_matches(seed: int) -> No
             transfer = (yi[:2] * (homography[2] @ xi) - homography[:2] @ xi) / mean[2]
             squares += w * (transfer @ line / parallax) ** 2
         believed = 2 * variance + (stack.plane_relief[t] * stack.inverse_depth[t] * parallax) ** 2
-        expected = (squares + PRIOR_MATCHES * believed) / (max(weights.sum() - 3, 0) + PRIOR_MATCHES)
+        free = max(weights.sum() - 3, 0)
+        logs = free * np.log(max(squares / max(free, 1), 2 * variance)) + PRIOR_MATCHES * np.log(believed)
+        expected = np.exp(logs / (free + PRIOR_MATCHES))
         sums = sums_of_term(stack, t, weights, np.full(len(data), variance))
         kappa, v = along_variance(stack, sums, t, at(stack, t, rotation, shift, surface))
         if kappa > 0:

@@ -32,6 +32,18 @@ def test_a_board_before_cameras_close_together_has_its_right_plane_or_two() -> N
     assert 2 <= sum(o.status is Status.AMBIGUOUS for o in doubtful) <= 15
 
 
+def test_a_board_that_two_cameras_see_turn_by_much_is_not_its_mirror_image() -> None:
+    """The seeds of the search have mismatches in them, and its first minima may all be wrong ones."""
+    wrong = 0
+    for turn in (15, 25):
+        found = outcomes(f"board, 2 cameras 35 apart, 2 m, turn {turn}, outliers 10 %", 75)
+        wrong += sum(o.wrong for o in found)
+        assert not any(o.status is Status.MIXED for o in found)
+        assert sum(o.status is Status.OK for o in found) >= 50
+        assert 2.0 < nees_of_ok(found) < 9.0
+    assert wrong <= 1
+
+
 def test_cameras_close_together_know_what_they_do_not_know() -> None:
     found = outcomes("ellipsoid, 4 cameras 6 apart", 25)
     assert not any(o.wrong for o in found)

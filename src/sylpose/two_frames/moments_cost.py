@@ -300,7 +300,10 @@ def along_variance(
     squares = max(squares, 0.0) / (depth * depth)
     believed = 2.0 * variance + (stack.plane_relief[t] * stack.inverse_depth[t] * length) ** 2
     # The plane's three unknowns have taken their share of the squares.
-    v = (squares + PRIOR_MATCHES * believed) / (max(count - 3.0, 0.0) + PRIOR_MATCHES)
+    free = max(count - 3.0, 0.0)
+    seen = max(squares / max(free, 1.0), 2.0 * variance)
+    # A mean of logarithms: what is believed of other objects' relief must not make a flat one unlikely.
+    v = np.exp((free * np.log(seen) + PRIOR_MATCHES * np.log(believed)) / (free + PRIOR_MATCHES))
     # Noise alone scatters v.
     noise = 2.0 * variance * (1.0 + NOISE_SIGMAS * np.sqrt(2.0 / (count + PRIOR_MATCHES)))
     if v > noise:

@@ -8,10 +8,11 @@ import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
+from sylpose.two_frames.affine_turns import FEW
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.moments_cost import Sums, moments_into
 from sylpose.two_frames.reweight import SETTLED, Reweighted, nothing_yet, reweight
-from sylpose.two_frames.search import no_minima, search
+from sylpose.two_frames.search import Minima, no_minima, search
 from sylpose.two_frames.seeds import hyperplane_inliers
 from sylpose.two_frames.terms import Guesses, Stack, copy_into
 
@@ -33,6 +34,10 @@ SEED_SIGMA_PX = (0.15, 1.5)
 # denominators at the mean rays, misjudge it by some tens where the turn is large (choice).
 KEEP = 4
 SECOND_CHANCE = 60.0
+# Looks at them with few cameras; in the later ones those that turn like one that was refined, give or take this share of the
+# turn, are not refined again (choice).
+LOOKS, SAME_SHARE = 2, 0.1
+MOST = LOOKS * KEEP
 
 
 class Settled(NamedTuple):
@@ -68,38 +73,43 @@ def robust_fit(
     n, trial = stack.focal.shape[0], nothing_yet(stack)
     sums, first_sigma = Sums(np.empty((n, 9, 9)), np.empty(n)), np.empty(n)
     _seed(stack, usable, picks, trial.weights, first_sigma)
-    for t in range(n):
-        first, last = stack.offsets[t], stack.offsets[t + 1]
-        moments_into(stack.x[first:last], stack.y[first:last], trial.weights[first:last], sums.moments[t])
-        # A term without a seed has no say, but a count.
-        if not sums.moments[t, 8, 8] > 0.0:
-            sums.moments[t, 8, 8] = 1e-9
-        sums.variance[t] = (first_sigma[t] / stack.focal[t]) ** 2
-    minima = no_minima(KEEP, n)
-    iterations = search(stack, sums, guesses, minima)
-    best, promise = np.inf, np.inf
+    best, promise, iterations = np.inf, np.inf, 0
     found.costs[:] = np.inf
-    for k in range(KEEP):
-        # Others are refined as well where they are nearly as likely, or where the first led nowhere.
-        if not minima.likelihoods[k] > (minima.likelihoods[0] - SECOND_CHANCE if promise < SETTLED else -np.inf):
-            continue
-        trial.sigma_px[:] = first_sigma
-        trial.weights[:] = 0.0
-        trial.candidate.rotation[:], trial.candidate.shift[:] = minima.rotations[k], minima.shifts[k]
-        trial.candidate.surface[:] = stack.surface_mean
+    seeds, sigma_px, minima = trial.weights.copy(), first_sigma.copy(), no_minima(KEEP, n)
+    # What the seeds hold of mismatches moves the minima that they show; few cameras leave many to be told apart, so there it
+    # is looked again at what is left.
+    for look in range(LOOKS if n <= FEW else 1):
         for t in range(n):
-            for j in range(1, 3):
-                trial.candidate.surface[t, j] = minima.surfaces[k, t, j]
-        done, promised, cost = reweight(stack, usable, trial)
-        iterations += done
-        found.rotations[k], found.shifts[k] = trial.candidate.rotation, trial.candidate.shift
-        found.costs[k], found.inliers[k] = cost, (trial.weights > 0.0).sum()
-        if cost < best:
-            best, promise = cost, promised
-            copy_into(fit.candidate, trial.candidate)
-            fit.sigma_px[:], fit.weights[:], fit.across[:] = trial.sigma_px, trial.weights, trial.across
-            fit.information[:], fit.without_depth[:], fit.noise[:] = trial.information, trial.without_depth, trial.noise
-            fit.relief[:], fit.place[:] = trial.relief, trial.place
+            first, last = stack.offsets[t], stack.offsets[t + 1]
+            moments_into(stack.x[first:last], stack.y[first:last], seeds[first:last], sums.moments[t])
+            # A term without a seed has no say, but a count.
+            if not sums.moments[t, 8, 8] > 0.0:
+                sums.moments[t, 8, 8] = 1e-9
+            sums.variance[t] = (sigma_px[t] / stack.focal[t]) ** 2
+        iterations += search(stack, sums, guesses, minima)
+        for m in range(KEEP):
+            # Others are refined as well where they are nearly as likely, or where the first led nowhere.
+            if not minima.likelihoods[m] > (minima.likelihoods[0] - SECOND_CHANCE if promise < SETTLED else -np.inf):
+                continue
+            k = KEEP * look + m
+            if look > 0 and _refined(minima.rotations[m], found, k):
+                continue
+            _start_at(stack, minima, m, first_sigma, trial)
+            done, promised, cost = reweight(stack, usable, trial)
+            iterations += done
+            found.rotations[k], found.shifts[k] = trial.candidate.rotation, trial.candidate.shift
+            found.costs[k], found.inliers[k] = cost, (trial.weights > 0.0).sum()
+            if cost < best:
+                best, promise = cost, promised
+                copy_into(fit.candidate, trial.candidate)
+                fit.sigma_px[:], fit.weights[:], fit.across[:] = trial.sigma_px, trial.weights, trial.across
+                fit.information[:], fit.without_depth[:] = trial.information, trial.without_depth
+                fit.noise[:], fit.relief[:], fit.place[:] = trial.noise, trial.relief, trial.place
+        if not best < np.inf:
+            break
+        for i in range(len(seeds)):
+            seeds[i] = 1.0 if fit.weights[i] > 0.0 else 0.0
+        sigma_px[:] = fit.sigma_px
     return iterations, promise
 
 
@@ -109,11 +119,39 @@ def fitted(
     """`robust_fit` with quadruples drawn from rng: the fit, without inliers where there is none, all minima, and what it
     returns."""
     fit = nothing_yet(stack)
-    found = Settled(np.zeros((KEEP, 3, 3)), np.zeros((KEEP, 3)), np.empty(KEEP), np.zeros(KEEP))
+    found = Settled(np.zeros((MOST, 3, 3)), np.zeros((MOST, 3)), np.empty(MOST), np.zeros(MOST))
     # Probabilities, as of a mixture: one compiled version does.
     some = usable.astype(np.float64)
     iterations, promise = robust_fit(stack, some, rng.random((QUADRUPLES, 4)), guesses, fit, found)
     return fit, found, iterations, promise
+
+
+@kernel
+def _start_at(stack: Stack, minima: Minima, m: int, sigma_px: FloatArray, trial: Reweighted) -> None:
+    """trial starts from one of the minima, with noise sigma_px (T,), all that it has no say of as it is believed."""
+    trial.sigma_px[:] = sigma_px
+    trial.weights[:] = 0.0
+    trial.candidate.rotation[:], trial.candidate.shift[:] = minima.rotations[m], minima.shifts[m]
+    trial.candidate.surface[:] = stack.surface_mean
+    for t in range(len(sigma_px)):
+        for j in range(1, 3):
+            trial.candidate.surface[t, j] = minima.surfaces[m, t, j]
+
+
+@kernel
+def _refined(rotation: FloatArray, found: Settled, count: int) -> bool:
+    """Whether one of the first minima that were refined is where a rotation (3, 3) leads."""
+    turn = 3.0 - (rotation[0, 0] + rotation[1, 1] + rotation[2, 2])
+    for k in range(count):
+        if not found.costs[k] < np.inf:
+            continue
+        gap = 3.0
+        for i in range(3):
+            for j in range(3):
+                gap -= rotation[i, j] * found.rotations[k, i, j]
+        if gap < SAME_SHARE**2 * turn:
+            return True
+    return False
 
 
 @kernel

@@ -14,6 +14,7 @@ import numpy as np
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.compiled import cholesky_solve, kernel, rotation_of, rotvec_of, turn_by
 from sylpose.numerics.normal_equations import eliminate
+from sylpose.two_frames.affine_turns import FEW, affine_turns
 from sylpose.two_frames.moments_cost import Normal, Sums, along_variance, term_equations, term_misfit
 from sylpose.two_frames.terms import Candidate, Guesses, Stack, copy_into
 
@@ -227,10 +228,12 @@ def search(stack: Stack, sums: Sums, guesses: Guesses, minima: Minima) -> int:
     minima.likelihoods[:] = -np.inf
     axes = np.zeros((MIRRORS + 1, 3))
     n_mirrors = _mirror_axes(stack, axes)
+    affine = np.zeros((2**FEW, 3))
+    n_affine = affine_turns(stack, sums, affine)
     turn, mirrored, base_shift, base_surface = np.zeros(3), np.empty(3), np.zeros(3), np.zeros((n, 3))
     count = 0
     # Each mirror image twice: with near and far exchanged, and after a fresh look at it as a plane.
-    for start in range(1 + 2 * n_mirrors + n_guesses):
+    for start in range(1 + 2 * n_mirrors + n_guesses + n_affine):
         mirror, guess = (start - 1) // 2, start - 1 - 2 * n_mirrors
         candidate.surface[:] = stack.plane_mean
         if start == 0:
@@ -250,8 +253,13 @@ def search(stack: Stack, sums: Sums, guesses: Guesses, minima: Minima) -> int:
             else:
                 done, _ = minimize(stack, sums, True, True, MIRROR_STEPS, PLANE_SETTLED, candidate)
                 count += done
-        else:
+        elif guess < n_guesses:
             candidate.rotation[:], candidate.shift[:] = guesses.rotations[guess], guesses.shifts[guess]
+        else:
+            rotation_of(affine[guess - n_guesses], candidate.rotation)
+            candidate.shift[:] = base_shift
+            done, _ = minimize(stack, sums, True, True, MIRROR_STEPS, PLANE_SETTLED, candidate)
+            count += done
         done, promise = minimize(stack, sums, True, False, CHECKED, SETTLED, candidate)
         count += done
         value = log_likelihood(stack, sums, candidate)

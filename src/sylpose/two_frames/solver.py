@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import BoolArray, FloatArray
@@ -13,10 +14,10 @@ from sylpose.numerics.matrices import forget, transpose
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.mixtures import alike, is_mixed, parted, some_move
-from sylpose.two_frames.reweight import nothing_yet
-from sylpose.two_frames.rivals import second_planes, strongest_rival, together
+from sylpose.two_frames.reweight import Reweighted, nothing_yet, reweight
+from sylpose.two_frames.rivals import LESS_LIKELY, second_planes, strongest_rival, together
 from sylpose.two_frames.robust_fit import fitted
-from sylpose.two_frames.terms import Stack, TermData, guesses_of, stack_terms
+from sylpose.two_frames.terms import Stack, TermData, copy_into, guesses_of, stack_terms
 from sylpose.two_frames.valley import bend, less_certain, settle_across
 from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
 
@@ -72,6 +73,9 @@ def fit_terms(
     if not (weights > 0).sum() >= MIN_MATCHES or (part is None and not is_consistent(stack, usable, found)):
         status = Status.NOT_CONSISTENT
     rod = rod_axis(stack, found)
+    if status is Status.OK and rod is not None:
+        found, promise = _least_turned(stack, may, found, rod, float(minima.costs.min())) or (found, promise)
+        (rotation, shift, _), _, weights, across, information, without_depth, noise, _, _ = found
     # About a rod the solver circles: that is no failure.
     if status is Status.OK and not ((promise < CONVERGED or rod is not None) and np.isfinite(information).all()):
         status = Status.NOT_CONVERGED
@@ -111,6 +115,22 @@ def fit_terms(
         cost=float(minima.costs.min()),
         standing=0.0 if part is None else float(1.0 - part.moving.mean()),
     )
+
+
+def _least_turned(
+    stack: Stack, usable: FloatArray, found: Reweighted, rod: FloatArray, cost: float
+) -> tuple[Reweighted, float] | None:
+    """What was found, without the turn about itself of a rod, which may be any, and what its last step promised; None where
+    that is not as likely as with it, at this cost."""
+    again = nothing_yet(stack)
+    copy_into(again.candidate, found.candidate)
+    again.sigma_px[:] = found.sigma_px
+    turn = Rotation.from_matrix(found.candidate.rotation)
+    x, y, z, w = turn.as_quat()
+    about = Rotation.from_rotvec(2.0 * np.arctan2(np.dot((x, y, z), rod[:3]), w) * rod[:3])
+    again.candidate.rotation[:] = (about.inv() * turn).as_matrix()
+    _, promise, cost_again = reweight(stack, usable, again)
+    return (again, float(promise)) if cost_again < cost + LESS_LIKELY else None
 
 
 def _without_noise(information: FloatArray, noise: FloatArray) -> FloatArray:
