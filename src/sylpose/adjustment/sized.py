@@ -17,11 +17,11 @@ from sylpose.adjustment.bundle import Bundled, Observations, bundle
 from sylpose.adjustment.problem import CUTOFF
 from sylpose.adjustment.shared import SURFACE_RADII, on_surface
 from sylpose.landmarks.shape import extent_of, size_of
-from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.robust import biquartic_losses
 from sylpose.rig import Rig
 
-__all__ = ["SMALL_TURN", "bundle_sized", "length_is_open"]
+__all__ = ["SMALL_TURN", "bundle_sized", "gives_up", "length_is_open"]
 
 # A length that is known to this share of it needs no more telling (choice).
 TOLD = 0.005
@@ -31,6 +31,9 @@ MOST = 0.5
 # the other costs so many times as much: a wrong one was seen to cost a fifth less than the true one (measured:
 # docs/benchmarks.md, "Kinds of scenes").
 SMALL_TURN, MUCH_BETTER = 0.3, 1.5
+# A start gives a frame up where it explains less than this share of what the other explains of it: that frame may be the
+# only one that tells the surface, and all the others agree the better without it (choice).
+GIVEN_UP = 0.7
 # What each camera's surface has for itself beside the size, in radii (choice).
 OWN_RADII = 0.1
 
@@ -64,8 +67,10 @@ def _of_two_starts(
         return found, none
     standing = RigidTransform.from_components(world_from_object.translation, first)
     other = bundle(rig, seen, standing, radius, **{**options, "landmarks": None, "surfaces_stay": True})
-    sigma = np.fmin(found.sigma_px, other.sigma_px)[seen.camera]
     counted = np.bincount(seen.landmark)[seen.landmark] > 1
+    if gives_up(other, found, seen, counted):
+        return found, none
+    sigma = np.fmin(found.sigma_px, other.sigma_px)[seen.camera]
     costs = [
         float(biquartic_losses((b.residuals[counted] / (CUTOFF * sigma[counted])) ** 2).sum()) for b in (found, other)
     ]
@@ -73,11 +78,23 @@ def _of_two_starts(
     if costs[1] < costs[0]:
         again = {**options, "landmarks": other.landmarks}
         best, second = bundle(rig, seen, other.world_from_object, radius, **again), found
+        if gives_up(best, found, seen, counted):
+            return found, none
     if max(costs) > MUCH_BETTER * min(costs):
         return best, none
     turn = (second.world_from_object.rotation * best.world_from_object.rotation.inv()).as_rotvec()
     off = np.hstack([turn, second.world_from_object.translation - best.world_from_object.translation])
     return best, off[:, :, None] * off[:, None, :]
+
+
+def gives_up(one: Bundled, other: Bundled, seen: Observations, counted: BoolArray) -> bool:
+    """Whether one gives a frame up of which the other explains most of the observations (n,) that count."""
+    frames = len(one.covariance)
+    of_one, of_other = (
+        np.bincount(seen.frame[counted & (b.weights > 0)], minlength=frames).astype(float) for b in (one, other)
+    )
+    most = 2 * of_other > np.bincount(seen.frame[counted], minlength=frames)
+    return bool((most & (of_one < GIVEN_UP * of_other)).any())
 
 
 def _surfaces(rig: Rig, seen: Observations, found: Bundled, radius: float) -> tuple[FloatArray, FloatArray] | None:
