@@ -78,11 +78,18 @@ def jpeg(image: Image, quality: int) -> Image:
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)
 
 
+# With its assembler routines the encoder's choices depend on what lies beside the image in memory.
+H264 = {"preset": "veryfast", "threads": "1", "x264-params": "asm=0"}
+
+
 def h264(images: Sequence[Image], crf: int) -> list[Image]:
     """Images as a compressed video has them."""
+    height, width = images[0].shape[:2]
+    # A codec's blocks that reach beyond the image hold whatever was in memory.
+    images = [np.pad(image, ((0, -height % 16), (0, -width % 16), (0, 0)), "edge") for image in images]
     file = io.BytesIO()
     with av.open(file, "w", format="mp4") as video:
-        stream = video.add_stream("libx264", rate=30, options={"crf": str(crf), "preset": "veryfast", "threads": "1"})
+        stream = video.add_stream("libx264", rate=30, options=H264 | {"crf": str(crf)})
         stream.height, stream.width = images[0].shape[:2]
         stream.pix_fmt = "yuv420p"
         for image in images:
@@ -90,7 +97,8 @@ def h264(images: Sequence[Image], crf: int) -> list[Image]:
         video.mux(stream.encode())
     file.seek(0)
     with av.open(file, "r") as written:
-        return [np.asarray(frame.to_ndarray(format="bgr24")) for frame in written.decode(video=0)]
+        decoded = (frame.to_ndarray(format="bgr24") for frame in written.decode(video=0))
+        return [np.ascontiguousarray(image[:height, :width], dtype=np.uint8) for image in decoded]
 
 
 def turned(image: Image, camera: Camera, rotvec: FloatArray) -> Image:

@@ -97,3 +97,25 @@ def test_it_grows_beyond_its_room() -> None:
         table.learn(some([float(k) for k in range(ROOM)]))
     assert len(table) == 3 * ROOM
     assert values_of(table, [0, ROOM + 5, 3 * ROOM - 1]) == [0.0, 5.0, ROOM - 1.0]
+
+
+def test_what_is_not_placed_goes_along_with_what_is_around_it() -> None:
+    """Two clusters of which a half is placed, one of them by mistake for one of them."""
+    rng = np.random.default_rng(0)
+    places = np.concatenate([rng.normal(0, 0.1, (20, 3)), rng.normal(5, 0.1, (20, 3))])
+    landmarks = some([1.0] * 40)
+    landmarks.mean[:] = places
+    table = LandmarkTable()
+    numbers = table.learn(landmarks)
+    shift = np.where(np.arange(40)[:, None] < 20, [1.0, 0.0, 0.0], [0.0, 0.0, -2.0])
+    chosen = np.concatenate([np.arange(10), np.arange(20, 30)])
+    target = places + shift
+    target[3] += 100.0
+    table.place(numbers[chosen], target[chosen])
+    found = table.of(numbers).mean
+    np.testing.assert_allclose(found[chosen], target[chosen])
+    rest = np.setdiff1d(np.arange(40), chosen)
+    np.testing.assert_allclose(found[rest], (places + shift)[rest], atol=1e-12)
+    # Of a few nobody knows how the rest moved.
+    table.place(numbers[:3], np.zeros((3, 3)))
+    np.testing.assert_allclose(table.of(numbers).mean[3:], found[3:])

@@ -61,7 +61,7 @@ def test_with_boxes(clip: Clip, tracked: list[TrackedFrame]) -> None:
     assert error[:, 0].max() < HALF_DEGREE
     assert error[:, 1].max() < 1.5
     assert (inliers(tracked)[1:] > 10).all()
-    assert (inliers(tracked)[1:].sum(axis=1) > 120).all()
+    assert (inliers(tracked)[1:].sum(axis=1) > 150).all()
     assert_valid(tracked)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from sylpose.landmarks.places import Landmarks
 from sylpose.numerics.arrays import FloatArray, IntArray
@@ -11,6 +12,8 @@ __all__ = ["LandmarkTable"]
 
 # Rows that a table has room for at first; when they are full, twice as many (choice).
 ROOM = 1024
+# Of so many neighbours' moves the one in the middle is taken (choice).
+NEIGHBOURS = 8
 
 
 class LandmarkTable:
@@ -59,8 +62,15 @@ class LandmarkTable:
         return numbers
 
     def place(self, numbers: IntArray, places: FloatArray) -> None:
-        """Puts the landmarks with some numbers (n,) at places (n, 3), as well known as before."""
-        self._rows.mean[self._at(numbers)] = places
+        """Puts the landmarks with some numbers (n,) at places (n, 3), as well known as before; the others go along with the
+        nearest of them, or they would contradict them."""
+        at, means = self._at(numbers), self._rows.mean[: self._used]
+        others = np.setdiff1d(np.arange(self._used), at)
+        moved = places - means[at]
+        if len(at) >= NEIGHBOURS and len(others):
+            _, nearest = cKDTree(means[at]).query(means[others], NEIGHBOURS)
+            means[others] += np.median(moved[nearest], axis=1)
+        means[at] = places
 
     def keep(self, numbers: IntArray) -> None:
         """Forgets all but those with some numbers, once they are less than half of all."""

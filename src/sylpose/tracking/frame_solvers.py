@@ -43,16 +43,17 @@ Agreement = list[tuple[FloatArray, FloatArray]]
 
 # Above this mean robust cost most landmarks contradict the pose that was started from: other starts are tried (choice).
 POOR_COST = 0.6
-# Noise that another start is given, pixels: it was fitted to the same matches (choice).
-OTHER_START_PX = 4.0
+# Noises that another start is given, pixels: it was fitted to the same matches, and a forgiving one may slide back (choice).
+OTHER_START_PX = (4.0, 1.0)
 # After a turn by more than this since the last solved frame (radians), most depths are guesses, and the forgiving first
 # rounds may slide into another minimum: less forgiving ones are tried as well, with these noises, pixels (measured:
 # benchmarks/kinds.py, jumps-25: from the true pose, too, they ended 32 degrees off) (choice).
 JUMP, NARROW_PX = np.radians(8.0), (8.0, 2.0)
 # So large a share of inliers is not had by chance (choice).
 CERTAIN_SHARE = 0.8
-# So many sights of a feature leave its depth a guess (choice).
-YOUNG = 3
+# So many sights of a feature leave its depth a guess, and so does any number of them that show the object at rest: known no
+# better than to this share of the object's radius (choice).
+YOUNG, GUESSED = 3, 0.1
 # A depth is known where it moves the landmark's image by less than this, pixels; the 2D-3D equation wants so
 # many (choice).
 KNOWN_PX, KNOWN = 1.0, 30
@@ -211,10 +212,11 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights]]:
     # While all depths are guesses, a turn the other way with the depths reversed explains nearly as much (the mirrored
     # solution of few cameras and small turns); epipolar geometry is asked for its opinion.
     jumps = max(_angle(problem.guess[0]), _angle(pose.rotation)) > JUMP
-    if max(a.oldest for a in ages) <= YOUNG or pose.cost > POOR_COST or jumps:
+    guessed = max(a.oldest for a in ages) <= YOUNG or _depth_sd(ages) > GUESSED * problem.radius
+    if guessed or pose.cost > POOR_COST or jumps:
         data = gathered(_terms(crew, problem))
         other = fit_terms(data, problem.center, problem.radius, [problem.guess], problem.rng())
-        starts = [(other.rotation, other.shift, OTHER_START_PX)] if other.status is Status.OK else []
+        starts = [(other.rotation, other.shift, px) for px in OTHER_START_PX if other.status is Status.OK]
         starts += [(*problem.guess, px) for px in NARROW_PX] if jumps else []
         support = _support(crew, sights, found)
         for rotation, shift, first_px in starts:
@@ -233,6 +235,12 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights]]:
 def _support(crew: Crew, sights: Sequence[Sights], found: Sequence[tuple[FloatArray, FloatArray]]) -> float:
     """`support_of` all cameras."""
     return sum(crew.ask(lambda c: support_of(sights[c], *found[c])))
+
+
+def _depth_sd(ages: Sequence[Ages]) -> float:
+    """How well the depth of landmarks is known, standard deviation, in the camera in the middle."""
+    known = [a.depth_sd for a in ages if np.isfinite(a.depth_sd)]
+    return float(np.median(known)) if known else np.inf
 
 
 def _angle(rotation: FloatArray) -> float:

@@ -31,6 +31,7 @@ from sylpose.tracking.find import (
 from sylpose.tracking.frame import Frame, Pair, match_pair, standing
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.learn import accept_first, accepted, first_points, not_found, told_by_matches
+from sylpose.tracking.middle import middle_stands, still_ones
 from sylpose.tracking.nudges import steadied, with_nudges
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.start import FirstMotion, agree, first_motion, is_ambiguous, jitter_of
@@ -156,6 +157,11 @@ def _found(
 ) -> tuple[Joint, Found | None]:
     """The frame's pose, from a guess."""
     matches = matched(team, joint, frame, guess, followed, anew=anew)
+    if joint.object.bounded and not joint.proven and middle_stands(team, joint, frame, matches):
+        # What moves in the boxes is not the object: somebody passes by.
+        rest = still_ones(team, frame, matches)
+        found = solved_from(team, joint, frame, rest, joint.base.world_from_object, regions, followed, anew=anew)
+        return joint, None if found is None else found.standing()
     joint, _, guess, pairs = told_by_matches(team, joint, frame, matches, guess)
     found = solved_from(team, joint, frame, pairs, guess, regions, followed, anew=anew)
     if found is not None and joint.may_be_background(found.agreed):

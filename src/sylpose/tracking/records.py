@@ -14,7 +14,7 @@ from sylpose.landmarks.alignment import Sights
 from sylpose.numerics.arrays import FloatArray
 from sylpose.two_frames.terms import TermData
 
-__all__ = ["Ages", "Agreed", "Chance", "Following", "Known", "Moved", "Recognised", "Stance", "total_ages"]
+__all__ = ["Ages", "Agreed", "Chance", "Following", "Known", "Middle", "Moved", "Recognised", "Stance", "total_ages"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +51,21 @@ class Moved:
 
 
 @dataclass(frozen=True, eq=False)
+class Middle:
+    """By how much what one camera sees in its box is displaced since it was seen first.
+
+    Attributes:
+        seen: number of features at the box's middle; middle_px: what half of them are displaced by less than.
+        moved: number of features in all of the box that do not stand still; moved_px: what half of these are displaced by.
+    """
+
+    seen: int
+    middle_px: float
+    moved: int
+    moved_px: float
+
+
+@dataclass(frozen=True, eq=False)
 class Ages:
     """In how many frames one camera's landmarks were seen.
 
@@ -58,19 +73,21 @@ class Ages:
         values, counts: (k,) so many frames, that many landmarks.
         moving: how many of them move or did.
         oldest: the largest value of all landmarks of the frames that were matched with.
+        depth_sd: how well their depth is known, standard deviation of the middle one, length units; NaN without any.
     """
 
     values: FloatArray
     counts: FloatArray
     moving: int = 0
     oldest: int = 0
+    depth_sd: float = np.nan
 
     @classmethod
-    def of(cls, seen: FloatArray, moving: int = 0, oldest: int = 0) -> Ages:
+    def of(cls, seen: FloatArray, moving: int = 0, oldest: int = 0, depth_sd: float = np.nan) -> Ages:
         """Of landmarks seen in so many frames (n,)."""
         counts = np.bincount(seen.astype(np.int64))
         values = np.flatnonzero(counts)
-        return cls(values.astype(float), counts[values].astype(float), moving, oldest)
+        return cls(values.astype(float), counts[values].astype(float), moving, oldest, depth_sd)
 
 
 def total_ages(of_cameras: list[Ages]) -> FloatArray:

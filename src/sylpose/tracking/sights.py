@@ -62,7 +62,8 @@ def sights_of(
 def ages_of(sights: Sights, moving: BoolArray, pairs: Sequence[Pair]) -> Ages:
     """In how many frames the landmarks were seen, of `sights_of`."""
     oldest = max((int(pair.earlier.table.seen(pair.earlier.numbers).max(initial=0)) for pair in pairs), default=0)
-    return Ages.of(sights.trust, int(moving.sum()), oldest)
+    depth_sd = float(np.median(np.linalg.norm(sights.depth_error, axis=1))) if len(sights.trust) else np.nan
+    return Ages.of(sights.trust, int(moving.sum()), oldest, depth_sd)
 
 
 def usual_age(seen: FloatArray) -> float:

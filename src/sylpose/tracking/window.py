@@ -29,6 +29,8 @@ __all__ = ["Seen", "is_due", "refined"]
 MOST = 32
 # Landmarks of one camera that are used at most, those seen most often first (choice).
 LANDMARKS = 150
+# So many that have moved are enough to do without those that never did (choice).
+MANY = 20
 # After the first frames, one of so many (choice: refined at every keyframe too, poses are hardly better).
 OFTEN = 4
 # Of fewer frames nothing is told. Of fewer than this the depths are not known well enough to be refined with the
@@ -166,7 +168,10 @@ def _seen(team: Team, c: int, numbers: Sequence[int]) -> Seen:
     single = np.sort(first[count == 1])
     index, landmark, image = index[single], landmark[single], image[single]
     known, inverse, sights = np.unique(landmark, return_inverse=True, return_counts=True)
-    good = np.flatnonzero(sights > 1)
+    # Once the object has moved, what never did may be background, which a path with less of a turn explains as well.
+    moved = part.table.of(known).moved
+    trusted = moved if np.count_nonzero(moved) >= MANY else np.ones(len(known), bool)
+    good = np.flatnonzero((sights > 1) & trusted)
     good = np.sort(good[np.argsort(-sights[good], kind="stable")[:LANDMARKS]])
     used = np.isin(inverse, good)
     known = known[good]

@@ -1,0 +1,70 @@
+"""In boxes, until the object has moved: whether it is the object that moves, or something else in them.
+
+A box holds more than the object. Somebody who passes by behind it is seen at the box's edges, around the object; a wall is
+seen there, too. The object is at the middle: what the middle does is what it does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sylpose.numerics.arrays import BoolArray
+from sylpose.tracking.frame import CameraFrame, Frame, Pair, away
+from sylpose.tracking.joint import MIN_MOVED, Joint
+from sylpose.tracking.records import Middle
+from sylpose.tracking.team import Team
+
+__all__ = ["middle_stands", "still_ones"]
+
+# The middle of a box is this share of its width and height (choice).
+MIDDLE = 0.5
+# It stands where it is displaced by less than this share of what moves, both in the middle (choice: a body that turns about
+# itself moves its middle by some third).
+STANDS = 0.15
+
+
+def middle_stands(team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequence[Pair]]) -> bool:
+    """Whether something moves in the boxes, and what is at their middle does not, in most cameras that see it.
+
+    Args:
+        pairs: by camera, each its own: the frame's matches.
+    """
+    first = joint.keyframes[0].world_from_object
+    points = first.apply(joint.object.points)
+
+    def of(c: int) -> Middle:
+        outline = team.rig.cameras[c].project(points)
+        outline = outline[np.isfinite(outline).all(axis=1)]
+        if not len(outline) or not pairs[c]:
+            return Middle(0, np.nan, 0, np.nan)
+        low, high = outline.min(axis=0), outline.max(axis=0)
+        origin = np.concatenate([pair.landmarks.origin for pair in pairs[c]])
+        shift = np.concatenate([away(pair.landmarks, pair.pixels_j) for pair in pairs[c]])
+        off = np.abs(origin - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9)
+        middle, moved = (off < MIDDLE).all(axis=1), shift > frame.cameras[c].still_px
+        feature = np.concatenate([pair.indices[:, 1] for pair in pairs[c]])
+        counts = [len(np.unique(feature[some])) for some in (middle, moved)]
+        pixels = [float(np.median(shift[some])) if some.any() else np.nan for some in (middle, moved)]
+        return Middle(counts[0], pixels[0], counts[1], pixels[1])
+
+    told = team.crew.ask(of)
+    moving = [middle.moved_px for middle in told if middle.moved >= MIN_MOVED]
+    seeing = [middle.middle_px for middle in told if middle.seen >= MIN_MOVED]
+    standing = sum(px < STANDS * float(np.median(moving)) for px in seeing) if moving else 0
+    return 2 * standing > len(seeing)
+
+
+def still_ones(team: Team, frame: Frame, pairs: Sequence[Sequence[Pair]]) -> list[list[Pair]]:
+    """By camera, each its own: the matches of what is where it was seen first."""
+
+    def of(c: int) -> list[Pair]:
+        kept = [pair.subset(_stands(pair, frame.cameras[c])) for pair in pairs[c]]
+        return [pair for pair in kept if len(pair)]
+
+    return team.crew.each(of)
+
+
+def _stands(pair: Pair, current: CameraFrame) -> BoolArray:
+    return np.asarray(away(pair.landmarks, pair.pixels_j) <= current.still_px)
