@@ -37,6 +37,9 @@ KNOWN_DEPTH = 0.1
 ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 0.4, 0.25, 60, np.radians(20.0)
 # Frames until a camera in which no feature was followed is searched again (choice).
 ASK_AGAIN = 8
+# An anchor with few features, when more could be followed, lasts for so many frames: by then these show whether they move with
+# the object (choice).
+FEW_LAST = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +49,12 @@ class Anchor:
     Attributes:
         frame: its landmarks learn what the followed features show.
         age: number of frames that were solved by its features alone.
+        few: whether there were more to follow, had it been known what they are.
     """
 
     frame: SolvedFrame
     age: int = 0
+    few: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +122,8 @@ def suffices(reports: Sequence[Following], anchor: Anchor, ahead: RigidTransform
         # A camera that gives images again takes part at once; one that saw nothing is asked again after a while.
         enough &= not (r.looks and not r.follows)
         enough &= not (r.looks and r.alive == 0 and anchor.age >= ASK_AGAIN)
-    return bool(enough and turn < ANCHOR_TURN)
+    lasts = not (anchor.few and anchor.age >= FEW_LAST)
+    return bool(enough and lasts and turn < ANCHOR_TURN)
 
 
 def begin_anchor(number: int, current: CameraFrame, image: Image | None, before: Followed | None) -> CameraAnchor:

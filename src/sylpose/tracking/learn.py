@@ -134,11 +134,10 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     status = FrameStatus.RELOCALISED if joint.missed else FrameStatus.TRACKED
     after = replace(joint, object=model).accepted(solved, found.motion, anew=found.anew, agreed=found.agreed)
     # Where it was found again next to nothing is known of what else is seen: the next frame asks the keyframes too.
-    # Nor is it known, with the first motion, what is new in the boxes: the next frame looks anew.
-    told = joint.object.bounded and base is joint.keyframes[0]
-    begins = found.anew and team.follows and status is FrameStatus.TRACKED and not told
-    if begins or told:
-        after = replace(after, anchor=Anchor(solved) if begins else None)
+    begins = found.anew and team.follows and status is FrameStatus.TRACKED
+    if begins:
+        # With the first motion, what is new in the boxes is not followed: nobody knows yet what it is.
+        after = replace(after, anchor=Anchor(solved, few=joint.object.bounded and base is joint.keyframes[0]))
     kept = set(after.known)
 
     def learn(c: int) -> tuple[tuple[FloatArray, FloatArray] | None, Sightings]:
