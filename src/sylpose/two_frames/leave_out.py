@@ -28,6 +28,7 @@ from sylpose.numerics.epipolar import essential, sampson
 from sylpose.paper.bad_cameras import suspect_cameras
 from sylpose.results import Status
 from sylpose.two_frames.fit import Fit
+from sylpose.two_frames.looking import another_looks_elsewhere
 from sylpose.two_frames.reweight import SIGMA_FLOOR_PX
 from sylpose.two_frames.solver import FAR_PX
 from sylpose.two_frames.terms import TermData
@@ -224,8 +225,7 @@ def _only_junk(data: Sequence[TermData], fit: Fit, solve: Solve) -> bool:
 
 def _rejected(data: Sequence[TermData], fit: Fit) -> BoolArray:
     """(T,) cameras hardly any of whose matches are inliers."""
-    inliers = np.array([np.count_nonzero(w) for w in fit.weights])
-    matches = np.array([len(term) for term in data])
+    inliers, matches = (np.array(n) for n in ([np.count_nonzero(w) for w in fit.weights], [len(t) for t in data]))
     return np.asarray((matches >= ENOUGH) & (inliers <= REJECTED * matches))
 
 
@@ -264,7 +264,7 @@ def _worst(
     # Of many cameras more than one may be at fault, one after the other.
     margin = (CLEARLY if cameras > 3 else CLEAR) * usual
     clear = _still(data, best) or cameras > FEW or all(costs[k] - costs[best] > margin for k in others)
-    if clear:
+    if clear and not another_looks_elsewhere([data[k] for k in costs], data[best]):
         return (best, rests[best]), None
     return None, rests[best] if left.max() <= AT_EASE + _chance(cameras) else None
 

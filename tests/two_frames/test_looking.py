@@ -1,0 +1,61 @@
+"""The rays through what cameras see of one object meet, but for one that is calibrated wrongly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.robust_pairs import of_four, turned
+from sylpose.matches import Matches
+from sylpose.rig import Rig
+from sylpose.two_frames.looking import another_looks_elsewhere, missed
+from sylpose.two_frames.motion import estimate_motion
+from sylpose.two_frames.terms import TermData
+
+SCENES = 30
+
+
+def terms(rig: Rig, matches: tuple[Matches, ...]) -> list[TermData]:
+    return [
+        TermData(c, m.x, m.y, camera.rotation, camera.center, camera.focal)
+        for c, (camera, m) in enumerate(zip(rig, matches, strict=True))
+    ]
+
+
+def test_they_meet_in_one_point_and_another_unit_changes_nothing() -> None:
+    for seed in range(SCENES):
+        rig, pair = of_four(seed)
+        data = terms(rig, pair.matches)
+        assert 0.0 < missed(data) < 0.5
+        larger = [TermData(t.camera, t.x, t.y, t.rotation, 1e3 * t.center, t.focal) for t in data]
+        assert missed(larger) == pytest.approx(missed(data))
+        # Rays through one point miss it by nothing.
+        one = [
+            TermData(t.camera, 0.1 * t.x - np.median(0.1 * t.x, axis=0), t.y, t.rotation, -t.rotation[2], 1.0)
+            for t in data
+        ]
+        assert missed(one) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_it_speaks_for_those_that_are_not_at_fault() -> None:
+    right = 0
+    for seed in range(SCENES):
+        rig, pair = of_four(seed)
+        data = terms(rig, pair.matches)
+        assert not any(another_looks_elsewhere(data, term) for term in data)
+        told, bad = turned(rig, 20.0, seed)
+        data = terms(told, pair.matches)
+        spoken = [another_looks_elsewhere(data, term) for term in data]
+        k = told.names.index(bad)
+        assert not spoken[k]
+        right += all(s for c, s in enumerate(spoken) if c != k)
+    assert right >= 0.8 * SCENES
+
+
+@pytest.mark.parametrize("degrees", [10.0, 20.0])
+def test_a_good_camera_is_not_named_for_another(degrees: float) -> None:
+    """One of sixty was."""
+    rig, pair = of_four(56)
+    told, bad = turned(rig, degrees, 56)
+    found = estimate_motion(told, pair.matches)
+    assert all(text.startswith(f"camera {bad}: ") for text in found.faults)
