@@ -37,8 +37,8 @@ KNOWN_DEPTH = 0.1
 ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 0.4, 0.25, 60, np.radians(20.0)
 # Frames until a camera in which no feature was followed is searched again (choice).
 ASK_AGAIN = 8
-# An anchor with few features, when more could be followed, lasts for so many frames: by then these show whether they move with
-# the object (choice).
+# An anchor with few features, when more could be followed, lasts for so many frames: by then it shows which of these
+# move with the object (choice).
 FEW_LAST = 2
 
 
