@@ -67,6 +67,8 @@ class Joint:
         first_motion: since the first frame as the last one had it, while boxes are all that is known of its depth.
         only_still: whether in the frame at hand only what never moved agreed with a pose.
         nudges: of cameras, in order of time.
+        refined: (6, 6) of (w, d), how well the last frame was known that was refined with others: the next ones are known no
+            better, since they are found by the same landmarks. None before any was.
     """
 
     object: ObjectModel = field(default_factory=ObjectModel)
@@ -83,6 +85,7 @@ class Joint:
     first_motion: RigidTransform | None = None
     only_still: bool = False
     nudges: tuple[Nudge, ...] = ()
+    refined: FloatArray | None = None
 
     @property
     def base(self) -> SolvedFrame:
@@ -199,6 +202,7 @@ class Joint:
             keyframes=(first,),
             last=first,
             recent=(),
+            refined=None,
             anchor=Anchor(first, self.anchor.age) if kept and self.anchor is not None else None,
         )
 

@@ -24,7 +24,7 @@ from sylpose.tracking.sights import usual_age
 from sylpose.tracking.start import FirstMotion, agree, first_motion
 from sylpose.tracking.team import Region, Team
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame, shown, sightings, unsolved_frame
-from sylpose.tracking.window import is_due, refined
+from sylpose.tracking.window import at_least, is_due, refined
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.verdict import observed
 
@@ -99,6 +99,8 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     covariance = base.covariance if proven else joint.keyframes[0].covariance
     if not stood:
         covariance = covariance_with_references(solution.information, pose, found.agreed, known, radius)
+        if joint.refined is not None and not joint.missed:
+            covariance = at_least(covariance, joint.refined)
     if not proven:
         covariance = covariance + _unnoticed(team, pose, radius)
     if joint.object.guessed:

@@ -23,7 +23,7 @@ from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.team import Team
 
-__all__ = ["Seen", "is_due", "refined"]
+__all__ = ["Seen", "at_least", "is_due", "refined"]
 
 # Frames that are refined together at most, the first one and the last among them (choice).
 MOST = 32
@@ -90,8 +90,8 @@ def refined(team: Team, joint: Joint) -> Joint:
         if not bundled.tied[at]:
             return joint
         # Two ways of using the same matches: a pose is no better known than they agree on it.
-        doubted = replace(last, covariance=_at_least(last.covariance, bundled.covariance[at]) + np.outer(off, off))
-        return joint.moved({last.number: doubted})
+        doubted = replace(last, covariance=at_least(last.covariance, bundled.covariance[at]) + np.outer(off, off))
+        return replace(joint.moved({last.number: doubted}), refined=doubted.covariance)
     poses = dict(zip(numbers, bundled.world_from_object, strict=True))
     moved = {
         frame.number: replace(
@@ -110,7 +110,7 @@ def refined(team: Team, joint: Joint) -> Joint:
             team.parts[c].table.place(told[c].known, bundled.landmarks[mine])
 
     team.crew.each(learn)
-    return joint.moved(moved)
+    return replace(joint.moved(moved), refined=bundled.covariance[at] if bundled.tied[at] else None)
 
 
 def _tells_surface(bundled: Bundled, names: IntArray) -> bool:
@@ -132,7 +132,7 @@ def _moved(last: SolvedFrame, after: RigidTransform) -> FloatArray:
     return np.concatenate([turn, after.translation - before.translation])
 
 
-def _at_least(a: FloatArray, b: FloatArray) -> FloatArray:
+def at_least(a: FloatArray, b: FloatArray) -> FloatArray:
     """A covariance (6, 6) that is larger than b wherever a is not."""
     root = np.linalg.cholesky(a)
     inverse = np.linalg.inv(root)
