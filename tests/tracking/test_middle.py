@@ -77,6 +77,7 @@ def pair_of(before: FloatArray, after: FloatArray) -> Pair:
         ([(0.1, 12.0), (0.1, 0.1), (0.1, 0.1)], True),
         ([(12.0, 0.1), (12.0, 0.1), (12.0, 0.1)], False),  # the object moves before a wall
         ([(12.0, 0.1), (12.0, 0.1), (0.1, 0.1)], False),  # something stands before one camera
+        ([(5.0, 60.0), (5.0, 60.0), (5.0, 60.0)], False),  # it moves, too, and somebody faster
         ([(0.1, 0.1), (0.1, 0.1), (0.1, 0.1)], False),  # nothing moves: nothing is to be told apart
         ([(3.0, 9.0), (3.0, 9.0), (3.0, 9.0)], False),  # it turns about its middle
         ([(np.nan, 12.0), (np.nan, 12.0), (np.nan, 12.0)], False),  # the middle has no features

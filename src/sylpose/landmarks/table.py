@@ -65,9 +65,9 @@ class LandmarkTable:
         """Puts the landmarks with some numbers (n,) at places (n, 3), as well known as before; the others go along with the
         nearest of them, or they would contradict them."""
         at, means = self._at(numbers), self._rows.mean[: self._used]
-        others = np.setdiff1d(np.arange(self._used), at)
+        others = np.setdiff1d(np.flatnonzero(np.isfinite(means).all(axis=1)), at)
         moved = places - means[at]
-        if len(at) >= NEIGHBOURS and len(others):
+        if len(at) >= NEIGHBOURS and len(others) and np.isfinite(means[at]).all() and np.isfinite(moved).all():
             _, nearest = cKDTree(means[at]).query(means[others], NEIGHBOURS)
             means[others] += np.median(moved[nearest], axis=1)
         means[at] = places

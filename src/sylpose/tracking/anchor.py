@@ -49,7 +49,7 @@ class Anchor:
     Attributes:
         frame: its landmarks learn what the followed features show.
         age: number of frames that were solved by its features alone.
-        few: whether there were more to follow, had it been known what they are.
+        few: whether it was begun right after the first frame in boxes, when nobody knew of what is new in them what it is.
     """
 
     frame: SolvedFrame

@@ -138,7 +138,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     # Where it was found again next to nothing is known of what else is seen: the next frame asks the keyframes too.
     begins = found.anew and team.follows and status is FrameStatus.TRACKED
     if begins:
-        # With the first motion, what is new in the boxes is not followed: nobody knows yet what it is.
+        # Right after the first frame, what is new in the boxes is not followed: nobody knows yet what it is.
         after = replace(after, anchor=Anchor(solved, few=joint.object.bounded and base is joint.keyframes[0]))
     kept = set(after.known)
 

@@ -20,8 +20,8 @@ __all__ = ["middle_stands", "still_ones"]
 
 # The middle of a box is this share of its width and height (choice).
 MIDDLE = 0.5
-# It stands where it is displaced by less than this share of what moves, both in the middle (choice: a body that turns about
-# itself moves its middle by some third).
+# It stands where it stands still by itself, and is displaced by less than this share of what moves, both medians (choice:
+# a body that turns about itself moves its middle by some third).
 STANDS = 0.15
 
 
@@ -38,7 +38,7 @@ def middle_stands(team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequen
         outline = team.rig.cameras[c].project(points)
         outline = outline[np.isfinite(outline).all(axis=1)]
         if not len(outline) or not pairs[c]:
-            return Middle(0, np.nan, 0, np.nan)
+            return Middle(0, np.nan, False, 0, np.nan)
         low, high = outline.min(axis=0), outline.max(axis=0)
         origin = np.concatenate([pair.landmarks.origin for pair in pairs[c]])
         shift = np.concatenate([away(pair.landmarks, pair.pixels_j) for pair in pairs[c]])
@@ -47,13 +47,13 @@ def middle_stands(team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequen
         feature = np.concatenate([pair.indices[:, 1] for pair in pairs[c]])
         counts = [len(np.unique(feature[some])) for some in (middle, moved)]
         pixels = [float(np.median(shift[some])) if some.any() else np.nan for some in (middle, moved)]
-        return Middle(counts[0], pixels[0], counts[1], pixels[1])
+        return Middle(counts[0], pixels[0], pixels[0] <= frame.cameras[c].still_px, counts[1], pixels[1])
 
     told = team.crew.ask(of)
     moving = [middle.moved_px for middle in told if middle.moved >= MIN_MOVED]
-    seeing = [middle.middle_px for middle in told if middle.seen >= MIN_MOVED]
-    standing = sum(px < STANDS * float(np.median(moving)) for px in seeing) if moving else 0
-    return 2 * standing > len(seeing)
+    seeing = [middle for middle in told if middle.seen >= MIN_MOVED]
+    least = STANDS * float(np.median(moving)) if moving else 0.0
+    return 2 * sum(middle.still and middle.middle_px < least for middle in seeing) > len(seeing)
 
 
 def still_ones(team: Team, frame: Frame, pairs: Sequence[Sequence[Pair]]) -> list[list[Pair]]:

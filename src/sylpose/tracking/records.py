@@ -55,12 +55,14 @@ class Middle:
     """By how much what one camera sees in its box is displaced since it was seen first.
 
     Attributes:
-        seen: number of features at the box's middle; middle_px: what half of them are displaced by less than.
+        seen: number of features at the box's middle; middle_px: what half of their matches are displaced by less than;
+            still: whether that is no more than what stands still is.
         moved: number of features in all of the box that do not stand still; moved_px: what half of these are displaced by.
     """
 
     seen: int
     middle_px: float
+    still: bool
     moved: int
     moved_px: float
 

@@ -24,7 +24,7 @@ from sylpose.two_frames.terms import ROUNDING, Stack
 
 __all__ = ["FEW", "affine_turns"]
 
-# Cameras whose lines are combined, at most: three or more hardly leave a choice (choice).
+# So many terms, matches of one camera with one frame, have their lines combined: more hardly leave a choice (choice).
 FEW = 2
 # Matches of which a camera's affine map is believed, and how thin what they cover may be: its width by its length (choice).
 MANY, THIN = 6.0, 0.05
@@ -104,13 +104,13 @@ def _lines(stack: Stack, sums: Sums, t: int, shift: FloatArray, points: FloatArr
     det = c00 * c11 - c01 * c01
     if not det > (THIN * (c00 + c11)) ** 2:
         return False
-    nearer = (q[2, 0] * shift[0] + q[2, 1] * shift[1] + q[2, 2] * shift[2]) * stack.inverse_depth[t]
+    farther = (q[2, 0] * shift[0] + q[2, 1] * shift[1] + q[2, 2] * shift[2]) * stack.inverse_depth[t]
     a = np.empty((2, 2))
     for f in range(2):
         y = m[8, 3 * f + 2] / count
         b0, b1 = m[8, 3 * f] / count - y * x0, m[8, 3 * f + 1] / count - y * x1
         a[f, 0], a[f, 1] = (c11 * b0 - c01 * b1) / det, (c00 * b1 - c01 * b0) / det
-        a[f, f] += nearer - 1.0
+        a[f, f] += farther - 1.0
     # det (a - ω J) = ω² + (a01 - a10) ω + det a = 0
     half = 0.5 * (a[1, 0] - a[0, 1])
     root = np.sqrt(max(half * half - (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]), 0.0))

@@ -49,7 +49,7 @@ WON = 25.0
 # Who it is is clear where leaving out any other is less likely by this; with three cameras, two of which always nearly
 # agree, by this (choice).
 CLEARLY, CLEAR = 8.0, 60.0
-# Of more cameras than this the likeliest is left out, though another may be nearly as likely (choice).
+# Of more cameras than this the likeliest is left out, though another may be nearly as likely, and may be next (choice).
 FEW = 4
 # Pairs of cameras whose videos may be exchanged back, at most; the share of inliers that this must lead to, and by how much
 # others must be strained more (choice).
@@ -261,10 +261,10 @@ def _worst(
     gain = solved.fit.cost - costs[best] if posed else np.inf
     if not (_still(data, best) or gain > WON * usual):
         return None, None
-    # Of many cameras more than one may be at fault, one after the other.
     margin = (CLEARLY if cameras > 3 else CLEAR) * usual
     clear = _still(data, best) or cameras > FEW or all(costs[k] - costs[best] > margin for k in others)
-    if clear and not another_looks_elsewhere([data[k] for k in costs], data[best]):
+    told = {i: term.subset(mask) for i, (term, mask) in enumerate(zip(data, heard, strict=True)) if mask.any()}
+    if clear and not another_looks_elsewhere(list(told.values()), told[best]):
         return (best, rests[best]), None
     return None, rests[best] if left.max() <= AT_EASE + _chance(cameras) else None
 
