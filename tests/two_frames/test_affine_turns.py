@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
@@ -12,8 +14,8 @@ from sylpose.rig import Rig
 from sylpose.simulate import arc, plane, random_motion, ring, simulate_matches
 from sylpose.simulate.bodies import Body
 from sylpose.two_frames.affine_turns import FEW, affine_turns
-from sylpose.two_frames.moments_cost import Sums, moments_into
 from sylpose.two_frames.terms import Stack, TermData, object_place, stack_terms
+from tests.scenes import data_of, sums_of
 
 BOARD = plane((0.2, 0.3))
 RIG = arc(2, 40, 2.5)
@@ -24,22 +26,13 @@ def stack_of(rig: Rig, seed: int, turn: float, body: Body = BOARD, earlier: Rigi
     motion = random_motion(turn, 0.01, rng)
     start = RigidTransform.from_rotation(Rotation.random(rng=rng))
     pair = simulate_matches(rig, body, motion, rng=rng, noise_px=0.0, start=start)
-    data = [
-        TermData(c, m.x, m.y, camera.rotation, camera.center, camera.focal, earlier)
-        for c, (camera, m) in enumerate(zip(rig, pair.matches, strict=True))
-        if len(m)
-    ]
+    data = [replace(term, base_from_reference=earlier) for term in data_of(rig, pair.matches)]
     return stack_terms(data, *object_place(data))
 
 
 def turns_of(stack: Stack) -> FloatArray:
-    n = len(stack.focal)
-    sums = Sums(np.empty((n, 9, 9)), (0.5 / stack.focal) ** 2)
-    for t in range(n):
-        mine = slice(stack.offsets[t], stack.offsets[t + 1])
-        moments_into(stack.x[mine], stack.y[mine], np.ones(len(stack.x[mine])), sums.moments[t])
     turns = np.zeros((2**FEW, 3))
-    return turns[: affine_turns(stack, sums, turns)]
+    return turns[: affine_turns(stack, sums_of(stack, 0.5), turns)]
 
 
 def off(turns: FloatArray, rotation: Rotation) -> float:

@@ -8,30 +8,22 @@ import numpy as np
 import pytest
 
 from benchmarks.robust_pairs import of_four, turned
-from sylpose.matches import Matches
 from sylpose.results import Status
-from sylpose.rig import Rig
 from sylpose.two_frames.fit import no_fit
 from sylpose.two_frames.leave_out import Solved, without_faults
 from sylpose.two_frames.looking import another_looks_elsewhere, missed
 from sylpose.two_frames.motion import estimate_motion
 from sylpose.two_frames.solver import fit_terms
 from sylpose.two_frames.terms import TermData, object_place
+from tests.scenes import data_of
 
 SCENES = 30
-
-
-def terms_of(rig: Rig, matches: tuple[Matches, ...]) -> list[TermData]:
-    return [
-        TermData(c, m.x, m.y, camera.rotation, camera.center, camera.focal)
-        for c, (camera, m) in enumerate(zip(rig, matches, strict=True))
-    ]
 
 
 def test_they_meet_in_one_point_and_another_unit_changes_nothing() -> None:
     for seed in range(SCENES):
         rig, pair = of_four(seed)
-        data = terms_of(rig, pair.matches)
+        data = data_of(rig, pair.matches)
         assert 0.0 < missed(data) < 0.5
         larger = [TermData(t.camera, t.x, t.y, t.rotation, 1e3 * t.center, t.focal) for t in data]
         assert missed(larger) == pytest.approx(missed(data))
@@ -47,10 +39,10 @@ def test_it_speaks_for_those_that_are_not_at_fault() -> None:
     right = 0
     for seed in range(SCENES):
         rig, pair = of_four(seed)
-        data = terms_of(rig, pair.matches)
+        data = data_of(rig, pair.matches)
         assert not any(another_looks_elsewhere(data, term) for term in data)
         told, bad = turned(rig, 20.0, seed)
-        data = terms_of(told, pair.matches)
+        data = data_of(told, pair.matches)
         spoken = [another_looks_elsewhere(data, term) for term in data]
         k = told.names.index(bad)
         assert not spoken[k]
@@ -70,7 +62,7 @@ def test_a_good_camera_is_not_named_for_another(degrees: float) -> None:
 def test_where_no_part_but_one_has_a_pose_it_is_asked_all_the_same() -> None:
     """Of four cameras, in which leaving out but one leads to a pose."""
     rig, pair = of_four(2)
-    data = terms_of(rig, pair.matches)
+    data = data_of(rig, pair.matches)
 
     def solve(terms: Sequence[TermData], near: Solved | None = None) -> Solved:
         cameras, place = [term.camera for term in terms], object_place(terms)

@@ -67,7 +67,7 @@ class LandmarkTable:
         at, means = self._at(numbers), self._rows.mean[: self._used]
         others = np.setdiff1d(np.flatnonzero(np.isfinite(means).all(axis=1)), at)
         moved = places - means[at]
-        if len(at) >= NEIGHBOURS and len(others) and np.isfinite(means[at]).all() and np.isfinite(moved).all():
+        if len(at) >= NEIGHBOURS and len(others) and np.isfinite(moved).all():
             _, nearest = cKDTree(means[at]).query(means[others], NEIGHBOURS)
             means[others] += np.median(moved[nearest], axis=1)
         means[at] = places

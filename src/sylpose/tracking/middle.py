@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sylpose.landmarks.places import Landmarks
 from sylpose.numerics.arrays import BoolArray
 from sylpose.tracking.frame import CameraFrame, Frame, Pair, away
 from sylpose.tracking.joint import MIN_MOVED, Joint
@@ -40,9 +41,9 @@ def middle_stands(team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequen
         if not len(outline) or not pairs[c]:
             return Middle(0, np.nan, False, 0, np.nan)
         low, high = outline.min(axis=0), outline.max(axis=0)
-        origin = np.concatenate([pair.landmarks.origin for pair in pairs[c]])
-        shift = np.concatenate([away(pair.landmarks, pair.pixels_j) for pair in pairs[c]])
-        off = np.abs(origin - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9)
+        known = Landmarks.concatenate([pair.landmarks for pair in pairs[c]])
+        shift = away(known, np.concatenate([pair.pixels_j for pair in pairs[c]]))
+        off = np.abs(known.origin - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9)
         middle, moved = (off < MIDDLE).all(axis=1), shift > frame.cameras[c].still_px
         feature = np.concatenate([pair.indices[:, 1] for pair in pairs[c]])
         counts = [len(np.unique(feature[some])) for some in (middle, moved)]
