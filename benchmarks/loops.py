@@ -9,6 +9,8 @@ median of its last four frames, which show what the first ones did. Prints a lin
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -17,29 +19,47 @@ from sylpose import FrameSet, track
 from sylpose.app.demo import score
 from sylpose.frames import Box
 from sylpose.numerics.arrays import FloatArray
+from sylpose.rig import Rig
 from sylpose.simulate import demo_scene, demo_truth, render_frames
 
 FRAMES, TURN_DEG, SIZE = 56, 420.0, (320, 240)
 CAMERAS = (3, 4, 2, 3)
 
 
+class Turn(NamedTuple):
+    """A rendered recording, and where the object is."""
+
+    rig: Rig
+    frames: list[FrameSet]
+    boxes: Mapping[str, Box]
+    world_from_object: RigidTransform
+
+
+def rendered(**options: Any) -> Turn:
+    """The project's demo with other options than its own (`demo_scene`)."""
+    scene = demo_scene(**options)
+    truth, nothing = demo_truth(scene), (None,) * len(scene.rig)
+    frames = [FrameSet(k, float(k), nothing, images, nothing) for k, images in enumerate(render_frames(scene))]
+    return Turn(scene.rig, frames, {name: Box(*box) for name, box in truth.boxes.items()}, truth.world_from_object)
+
+
+def turn_of(seed: int) -> Turn:
+    """The turn with that seed."""
+    return rendered(frames=FRAMES, turn_deg=TURN_DEG, size=SIZE, n_cameras=CAMERAS[seed % len(CAMERAS)], seed=seed)
+
+
 def errors_of(seed: int, features: str) -> FloatArray:
     """(6,) degrees and millimetres: median, worst, end."""
-    cameras = CAMERAS[seed % len(CAMERAS)]
-    scene = demo_scene(frames=FRAMES, turn_deg=TURN_DEG, size=SIZE, n_cameras=cameras, seed=seed)
-    truth, nothing = demo_truth(scene), (None,) * cameras
-    frames = [FrameSet(k, float(k), nothing, images, nothing) for k, images in enumerate(render_frames(scene))]
-    boxes = {name: Box(*box) for name, box in truth.boxes.items()}
-    solved = [
-        f.pose for f in track(frames, scene.rig, boxes, features=features) if f.pose.world_from_object is not None
-    ]
+    turn = turn_of(seed)
+    tracked = track(turn.frames, turn.rig, turn.boxes, features=features)
+    solved = [f.pose for f in tracked if f.pose.world_from_object is not None]
     poses = RigidTransform.concatenate([p.world_from_object for p in solved])
     found = score(
         [p.time for p in solved],
         poses,
         np.arange(FRAMES),
-        truth.world_from_object,
-        truth.world_from_object[0].translation,
+        turn.world_from_object,
+        turn.world_from_object[0].translation,
     )
     both = np.column_stack([found.rotation, 1e3 * found.displacement])
     return np.concatenate([np.median(both, axis=0), both.max(axis=0), np.median(both[-4:], axis=0)])
