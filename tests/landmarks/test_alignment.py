@@ -604,11 +604,11 @@ def test_the_same_again_is_the_same(rig: Rig) -> None:
 
 def as_sent(told: Told) -> Told:
     """What arrives of what was sent: numbers alone."""
-    numbers = (told.matches, told.trust, told.mass, told.level_px, told.cost, told.inliers)
-    wire = struct.pack("<qddddq", *numbers) + told.reduced.astype("<f8").tobytes()
+    numbers = (told.matches, told.trust, told.mass, told.level_px, told.cost, told.vote, told.inliers)
+    wire = struct.pack("<qdddddq", *numbers) + told.reduced.astype("<f8").tobytes()
     assert len(wire) < 400
-    matches, trust, mass, level, cost, inliers = struct.unpack("<qddddq", wire[:48])
-    return Told(matches, trust, np.frombuffer(wire[48:]).reshape(6, 7), mass, level, cost, inliers)
+    matches, trust, mass, level, cost, vote, inliers = struct.unpack("<qdddddq", wire[:56])
+    return Told(matches, trust, np.frombuffer(wire[56:]).reshape(6, 7), mass, level, cost, vote, inliers)
 
 
 def each_for_itself(sights: Sequence[Sights]) -> list[Aligned]:
@@ -643,7 +643,12 @@ def test_cameras_that_send_numbers_come_to_the_same_to_the_bit(rig: Rig, how: st
     for c, found in enumerate(each_for_itself(sights)):
         for name in ("rotation", "shift", "information", "sigma_px", "doubt", "inliers"):
             np.testing.assert_array_equal(getattr(found, name), getattr(here, name))
-        assert (found.cost, found.converged, found.iterations) == (here.cost, here.converged, here.iterations)
+        assert (found.cost, found.vote, found.converged, found.iterations) == (
+            here.cost,
+            here.vote,
+            here.converged,
+            here.iterations,
+        )
         np.testing.assert_array_equal(found.weights[0], here.weights[c])
         np.testing.assert_array_equal(found.residuals[0], here.residuals[c])
         np.testing.assert_array_equal(found.surface[0], here.surface[c])

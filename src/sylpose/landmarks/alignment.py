@@ -29,6 +29,7 @@ from typing import Protocol
 import numpy as np
 
 from sylpose.landmarks.camera_terms import (
+    VOTE_PX,
     Own,
     Stacked,
     camera_terms,
@@ -50,9 +51,8 @@ FIRST_PX = SCHEDULE_PX[0]
 # Cameras disagree when one of them is doubted by this factor, has this many times the rig's noise, or this much less of its
 # matches agree than of another's (choice).
 DOUBTED, NOISY, FEWER = 3.0, 2.0, 0.6
-# Poses are compared by the robust cost at this noise, pixels; another one than the first has to be better by a
-# margin (choice).
-VOTE_PX, VOTE_MARGIN = 0.5, 0.01
+# By so much of the mean robust cost another pose than the first has to be better (choice).
+VOTE_MARGIN = 0.01
 # A camera with fewer matches has no opinion of its own; as many are the least that fix a pose (derived).
 MIN_VOTES = 3
 # Doubt in a camera that was left out, when it is heard again (choice).
@@ -96,7 +96,8 @@ class Aligned:
     Attributes:
         rotation: (3, 3); shift: (3,).
         information: (6, 6) of (w, d).
-        cost: robust, mean over the matches by trust, between 0 and 1: comparable between starts.
+        cost: robust, mean over the matches by trust, between 0 and 1; vote: the same at one noise (`VOTE_PX`), whatever was
+            fitted: poses of the same sights are compared by it.
         converged: whether the last step was negligible and three matches at least agree.
         iterations: of Gauss-Newton.
         sigma_px: (C,) each camera's noise.
@@ -112,6 +113,7 @@ class Aligned:
     shift: FloatArray
     information: FloatArray
     cost: float
+    vote: float
     converged: bool
     iterations: int
     sigma_px: FloatArray
@@ -191,6 +193,7 @@ def _aligned(
     rounds: int,
     settled: bool,
     cost: float,
+    vote: float,
     trust: float,
     inliers: IntArray,
     stacked: Stacked,
@@ -202,6 +205,7 @@ def _aligned(
         at.shift,
         at.information,
         cost / max(trust, 1e-12),
+        vote / max(trust, 1e-12),
         settled and int(inliers.sum()) >= MIN_VOTES,
         rounds,
         at.sigma_px,
@@ -232,8 +236,8 @@ class _Here:
         """See `_Cameras`."""
         own, at = own_of(self.stacked), first_round(rotation, shift, doubt, schedule[0])
         inliers = np.zeros(len(doubt), np.int64)
-        rounds, settled, cost = _rounds(self.stacked, np.array(schedule, float), left_out, at, own, inliers)
-        return _aligned(at, rounds, settled, cost, float(_trusts(self.stacked).sum()), inliers, self.stacked, own)
+        rounds, settled, cost, vote = _rounds(self.stacked, np.array(schedule, float), left_out, at, own, inliers)
+        return _aligned(at, rounds, settled, cost, vote, float(_trusts(self.stacked).sum()), inliers, self.stacked, own)
 
     def costs(self, found: Aligned) -> FloatArray:
         """See `_Cameras`."""
@@ -245,11 +249,11 @@ class _Here:
 @kernel
 def _rounds(
     stacked: Stacked, schedule: FloatArray, left_out: int, at: Round, own: Own, inliers: IntArray
-) -> tuple[int, bool, float]:
+) -> tuple[int, bool, float, float]:
     """Rounds until they settle, in place; inliers: (C,), filled.
 
     Returns:
-        their number; whether they settled; the sum of all costs.
+        their number; whether they settled; the sum of all costs, and of all votes.
     """
     n = len(inliers)
     reduced, mass, level = np.empty((n, 6, 7)), np.empty(n), np.empty(n)
@@ -265,12 +269,13 @@ def _rounds(
         last = settled or count == MAX_ROUNDS
         for c in range(n):
             take_step(c, at.step, own)
-    cost = 0.0
+    cost, vote = 0.0, 0.0
     for c in range(n):
-        part, agree = judge(stacked, c, at.rotation, at.shift, _level(at, c), c != left_out, own)
+        part, own_vote, agree = judge(stacked, c, at.rotation, at.shift, _level(at, c), c != left_out, own)
         cost += part
+        vote += own_vote
         inliers[c] = agree
-    return min(count, MAX_ROUNDS), settled, cost
+    return min(count, MAX_ROUNDS), settled, cost, vote
 
 
 # --- one camera among others ------------------------------------------------------------------------------------------
@@ -285,7 +290,7 @@ class Told:
         reduced: (6, 7) what it says of the pose: hessian and gradient of (w, d), without its surface.
         mass: the sum of its weights.
         level_px: its noise, or NaN.
-        cost: the sum of its robust costs by trust.
+        cost, vote: the sum of its robust costs by trust, at its own noise and at `VOTE_PX`.
         inliers: number of matches that agree.
     """
 
@@ -295,6 +300,7 @@ class Told:
     mass: float = 0.0
     level_px: float = np.nan
     cost: float = 0.0
+    vote: float = 0.0
     inliers: int = 0
 
 
@@ -340,12 +346,12 @@ class OneOfMany:
             settled = negligible
             last = settled or count == MAX_ROUNDS
             take_step(0, at.step, own)
-        cost, inliers = judge(stacked, 0, at.rotation, at.shift, _level(at, me), heard, own)
-        told = self._exchange(replace(self._says, cost=cost, inliers=int(inliers)))
+        cost, vote, inliers = judge(stacked, 0, at.rotation, at.shift, _level(at, me), heard, own)
+        told = self._exchange(replace(self._says, cost=cost, vote=vote, inliers=int(inliers)))
         agree = np.array([t.inliers for t in told], np.int64)
-        total = sum((t.cost for t in told), 0.0)
+        costs, votes = sum((t.cost for t in told), 0.0), sum((t.vote for t in told), 0.0)
         rounds = min(count, MAX_ROUNDS)
-        return _aligned(at, rounds, settled, total, float(self._trust.sum()), agree, stacked, own)
+        return _aligned(at, rounds, settled, costs, votes, float(self._trust.sum()), agree, stacked, own)
 
     def costs(self, found: Aligned) -> FloatArray:
         """See `_Cameras`."""

@@ -16,6 +16,7 @@ from sylpose.numerics.robust import SIGMA_OF_MEDIAN, bisquare
 
 __all__ = [
     "CUTOFF",
+    "VOTE_PX",
     "Own",
     "Stacked",
     "camera_terms",
@@ -29,6 +30,8 @@ __all__ = [
 
 # Cutoff of the bisquare weights, in standard deviations: 93 % efficient for Gaussian noise in both coordinates (choice).
 CUTOFF = 4.7
+# Poses are compared by the robust cost at this noise, pixels, whatever noise each was fitted with (choice).
+VOTE_PX = 0.5
 # Neighbours are off in depth alike: of a camera's matches only so many count as independent of each other along their
 # lines (measured: docs/method.md, "Better than two frames").
 INDEPENDENT = 10.0
@@ -312,31 +315,6 @@ def _cost(q: float) -> float:
 
 
 @kernel
-def judge(
-    stacked: Stacked, c: int, rotation: FloatArray, shift: FloatArray, level_px: float, heard: bool, own: Own
-) -> tuple[float, int]:
-    """Which of camera c's matches agree with a pose; own.across becomes pixels.
-
-    Args:
-        level_px: noise that decides who is an inlier.
-        heard: whether it had a say; else its weights stay 0.
-
-    Returns:
-        the sum of its matches' robust costs, each between 0 and 1, by trust; number of inliers.
-    """
-    variance = (level_px / stacked.focal[c]) ** 2
-    linearise(stacked, c, rotation, shift, own.surface[c], variance, own)
-    if heard:
-        weigh(stacked, c, own)
-    cost, inliers = 0.0, 0
-    for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
-        own.across[i] *= stacked.focal[c]
-        cost += stacked.trust[i] * _cost((own.distance[i] / CUTOFF) ** 2)
-        inliers += own.weights[i] > 0.0
-    return cost, inliers
-
-
-@kernel
 def cost_of(
     stacked: Stacked, c: int, rotation: FloatArray, shift: FloatArray, surface: FloatArray, level_px: float, own: Own
 ) -> float:
@@ -346,3 +324,29 @@ def cost_of(
     for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
         cost += stacked.trust[i] * _cost((own.distance[i] / CUTOFF) ** 2)
     return cost
+
+
+@kernel
+def judge(
+    stacked: Stacked, c: int, rotation: FloatArray, shift: FloatArray, level_px: float, heard: bool, own: Own
+) -> tuple[float, float, int]:
+    """Which of camera c's matches agree with a pose; own.across becomes pixels.
+
+    Args:
+        level_px: noise that decides who is an inlier.
+        heard: whether it had a say; else its weights stay 0.
+
+    Returns:
+        the sum of its matches' robust costs, each between 0 and 1, by trust; the same at `VOTE_PX`; number of inliers.
+    """
+    vote = cost_of(stacked, c, rotation, shift, own.surface[c], VOTE_PX, own)
+    variance = (level_px / stacked.focal[c]) ** 2
+    linearise(stacked, c, rotation, shift, own.surface[c], variance, own)
+    if heard:
+        weigh(stacked, c, own)
+    cost, inliers = 0.0, 0
+    for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
+        own.across[i] *= stacked.focal[c]
+        cost += stacked.trust[i] * _cost((own.distance[i] / CUTOFF) ** 2)
+        inliers += own.weights[i] > 0.0
+    return cost, vote, inliers

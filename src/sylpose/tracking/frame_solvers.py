@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from sylpose.landmarks.alignment import Sights
+from sylpose.landmarks.alignment import Aligned, Sights
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.known_depth import solve_2d3d
 from sylpose.results import Status
@@ -25,7 +25,6 @@ from sylpose.tracking.sights import (
     cut,
     sights_of,
     smear,
-    support_of,
     usual_age,
     with_trust,
 )
@@ -45,10 +44,13 @@ Agreement = list[tuple[FloatArray, FloatArray]]
 POOR_COST = 0.6
 # Noises that another start is given, pixels: it was fitted to the same matches, and a forgiving one may slide back (choice).
 OTHER_START_PX = (4.0, 1.0)
-# After a turn by more than this since the last solved frame (radians), most depths are guesses, and the forgiving first
-# rounds may slide into another minimum: less forgiving ones are tried as well, with these noises, pixels (measured:
-# benchmarks/kinds.py, jumps-25: from the true pose, too, they ended 32 degrees off) (choice).
+# The forgiving first rounds may slide into another minimum, from the true pose, too: 32 degrees off after a jump, where most
+# depths are guesses (measured: benchmarks/kinds.py, jumps-25), or in one camera that sees a board from its side (stands-fast
+# 31). So less forgiving ones are tried as well, with these noises, pixels: the last one always, all of them after a turn
+# by more than this since the last solved frame, radians (choice).
 JUMP, NARROW_PX = np.radians(8.0), (8.0, 2.0)
+# Poses whose mean robust costs differ by less explain the matches alike (choice).
+ALIKE = 0.01
 # So large a share of inliers is not had by chance (choice).
 CERTAIN_SHARE = 0.8
 # So many sights of a feature leave its depth a guess, and so does any number of them that show the object at rest: known no
@@ -213,28 +215,42 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights]]:
     # solution of few cameras and small turns); epipolar geometry is asked for its opinion.
     jumps = max(_angle(problem.guess[0]), _angle(pose.rotation)) > JUMP
     guessed = max(a.oldest for a in ages) <= YOUNG or _depth_sd(ages) > GUESSED * problem.radius
+    starts = [(*problem.guess, px) for px in (NARROW_PX if jumps else NARROW_PX[-1:])]
     if guessed or pose.cost > POOR_COST or jumps:
         data = gathered(_terms(crew, problem))
         other = fit_terms(data, problem.center, problem.radius, [problem.guess], problem.rng())
-        starts = [(other.rotation, other.shift, px) for px in OTHER_START_PX if other.status is Status.OK]
-        starts += [(*problem.guess, px) for px in NARROW_PX] if jumps else []
-        support = _support(crew, sights, found)
-        for rotation, shift, first_px in starts:
-            again, found_again = crew.align(sights, rotation, shift, first_px=first_px)
-            more = _support(crew, sights, found_again)
-            if more > support:
-                pose, found, support = again, found_again, more
+        starts += [(other.rotation, other.shift, px) for px in OTHER_START_PX if other.status is Status.OK]
+    found_all = [(pose, found), *(crew.align(sights, R, shift, first_px=px) for R, shift, px in starts)]
+    pose, found = min(found_all, key=lambda f: f[0].vote)
+    alike = [f for f in found_all if f[0].vote < pose.vote + ALIKE and f[0].converged]
+    pose, found = min(alike, key=lambda f: _off(f[0], *problem.guess), default=(pose, found))
+    information = _doubted(pose, [f[0] for f in alike])
     chances = crew.ask(lambda c: chance_of(sights[c], *found[c], pose.rotation, pose.shift, frames[c]))
     status = Status.OK if pose.converged else Status.NOT_CONVERGED
     if sum(chance.matches for chance in chances) < MIN_MATCHES or (status.has_pose and _by_chance(chances)):
         return _nothing(crew, problem, Status.NOT_CONSISTENT), sights
     agreement = crew.each(lambda c: cut(*found[c], pairs[c]))
-    return Solution(status, pose.rotation, pose.shift, pose.information, pose.iterations, agreement, pose.doubt), sights
+    return Solution(status, pose.rotation, pose.shift, information, pose.iterations, agreement, pose.doubt), sights
 
 
-def _support(crew: Crew, sights: Sequence[Sights], found: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """`support_of` all cameras."""
-    return sum(crew.ask(lambda c: support_of(sights[c], *found[c])))
+def _difference(one: Aligned, rotation: FloatArray, shift: FloatArray) -> FloatArray:
+    """(6,) (w, d) from a pose to another."""
+    turn = Rotation.from_matrix(rotation @ one.rotation.T).as_rotvec()
+    return np.concatenate([turn, shift - one.shift])
+
+
+def _off(one: Aligned, rotation: FloatArray, shift: FloatArray) -> float:
+    """Squared distance of a pose from another, by what the first knows."""
+    off = _difference(one, rotation, shift)
+    return float(off @ one.information @ off)
+
+
+def _doubted(pose: Aligned, others: Sequence[Aligned]) -> FloatArray:
+    """(6, 6) what is known of a pose that others explain as well: its covariance has the farthest one's difference, too."""
+    farthest = max(others, key=lambda other: _off(pose, other.rotation, other.shift), default=pose)
+    off = _difference(pose, farthest.rotation, farthest.shift)
+    told = pose.information @ off
+    return np.asarray(pose.information - np.outer(told, told) / (1.0 + off @ told))
 
 
 def _depth_sd(ages: Sequence[Ages]) -> float:
