@@ -2,12 +2,12 @@
 
     python benchmarks/live.py [SCENE ...] [--recordings FOLDER] [--sets 14]
 
-A pose as it is tracked knows the frames up to it only, a smoothed one those after it, too. In between is what all frames up
-to one tell together of its pose: they are smoothed anew for it, as if the recording ended there. That is no way to track: its
-time grows with the square of the frames. It is as good as tracking can be. Prints, for up to so many frames of each scene, the
-medians of the errors of the motion since the first frame: live, refined with the past, and smoothed; their ratios; and what
-share of the tracking's time its own refinement of recent frames takes. A scene is KIND:SEED of `benchmarks/kinds.py`,
-loop:SEED (`benchmarks/loops.py`), demo:SEED, or the name of a recording in FOLDER.
+A pose as it is tracked knows the frames up to it only, a smoothed one those after it, too. In between is what all frames
+up to one tell together of its pose: they are smoothed anew for it, as if the recording ended there. That is no way to
+track, since its time grows with the square of the frames, but it is as good as tracking can be. Prints, for up to so many
+frames of each scene, the medians of the errors of the motion since the first frame: live, refined with the past, and
+smoothed; their ratios; and what share of the tracking's time its own refinement of recent frames takes. A scene is
+KIND:SEED of `benchmarks/kinds.py`, loop:SEED (`benchmarks/loops.py`), demo:SEED, or the name of a recording in FOLDER.
 """
 
 from __future__ import annotations

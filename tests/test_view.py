@@ -60,6 +60,22 @@ def pose_with(rng: np.random.Generator, index: int, status: FrameStatus = FrameS
     return FramePose(index, index / 30, status, pose, covariance, np.array([7, 8]), np.array([0.5, 0.25]))
 
 
+@pytest.mark.parametrize(("degrees", "uncertain"), [(15.0, False), (25.0, True)])
+def test_a_pose_whose_turn_is_hardly_known_is_not_found(degrees: float, uncertain: bool) -> None:
+    about = Rotation.random(rng=np.random.default_rng(0)).as_matrix()[0]
+    covariance = np.diag([*np.full(3, 1e-6), *np.full(3, 100.0)])  # where it is does not matter
+    covariance[:3, :3] += np.deg2rad(degrees) ** 2 * np.outer(about, about)
+    for status in (FrameStatus.TRACKED, FrameStatus.RELOCALISED):
+        pose = replace(pose_with(np.random.default_rng(1), 3, status), covariance=covariance)
+        judged = pose.judged()
+        assert judged.status is (FrameStatus.UNCERTAIN if uncertain else status)
+        assert judged.measured is not uncertain
+        assert judged.world_from_object is pose.world_from_object
+    for status in (FrameStatus.FIRST, FrameStatus.COASTING, FrameStatus.LOST):
+        same = pose_with(np.random.default_rng(1), 3, status)
+        assert same.judged() is same
+
+
 # --- The motion -------------------------------------------------------------------------------------------------------
 
 

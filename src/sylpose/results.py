@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -22,6 +23,10 @@ __all__ = [
     "Trajectory",
     "pan_tilt_roll",
 ]
+
+
+# A pose whose turn is not known to this, radians about each axis, one standard deviation, is uncertain (choice).
+UNCERTAIN_TURN = 0.35
 
 
 class Status(Enum):
@@ -75,6 +80,7 @@ class FrameStatus(Enum):
     TRACKED = "tracked"
     RELOCALISED = "relocalised"
     COASTING = "coasting"
+    UNCERTAIN = "uncertain"
     LOST = "lost"
     TOO_FEW_MATCHES = "too few matches"
     NO_MOTION = "no motion"
@@ -89,7 +95,13 @@ class FrameStatus(Enum):
     @property
     def has_pose(self) -> bool:
         """Whether a frame of this status has a pose."""
-        return self in (FrameStatus.FIRST, FrameStatus.TRACKED, FrameStatus.RELOCALISED, FrameStatus.COASTING)
+        return self in (
+            FrameStatus.FIRST,
+            FrameStatus.TRACKED,
+            FrameStatus.RELOCALISED,
+            FrameStatus.COASTING,
+            FrameStatus.UNCERTAIN,
+        )
 
 
 _FRAME_TEXTS = {
@@ -97,6 +109,7 @@ _FRAME_TEXTS = {
     FrameStatus.TRACKED: "The object was followed from the frame before.",
     FrameStatus.RELOCALISED: "The object was found again, by what was learnt of it before.",
     FrameStatus.COASTING: "The object was not found; it is taken to go on as it did, with growing uncertainty.",
+    FrameStatus.UNCERTAIN: "What is seen hardly tells how the object is turned: its pose may be any of many.",
     FrameStatus.LOST: "The object was not found, for too long to say where it may be.",
     FrameStatus.TOO_FEW_MATCHES: "Too few features on the object in all cameras together, to begin with.",
     FrameStatus.NO_MOTION: "Nothing moved yet that could be taken for the object: its pose is not known.",
@@ -235,8 +248,15 @@ class FramePose:
 
     @property
     def measured(self) -> bool:
-        """Whether the pose was found in this frame's images: False without one, and where it is carried on only."""
-        return self.world_from_object is not None and self.status is not FrameStatus.COASTING
+        """Whether the pose was found in this frame's images: False without one, and where it is carried on only, or hardly
+        known."""
+        return self.world_from_object is not None and self.status not in (FrameStatus.COASTING, FrameStatus.UNCERTAIN)
+
+    def judged(self) -> Self:
+        """The same as `UNCERTAIN` where it was found, but how the object is turned is hardly known."""
+        found = self.status in (FrameStatus.TRACKED, FrameStatus.RELOCALISED)
+        hardly = found and np.linalg.eigvalsh(self.covariance[:3, :3])[-1] > UNCERTAIN_TURN**2
+        return replace(self, status=FrameStatus.UNCERTAIN) if hardly else self
 
     @property
     def sigma(self) -> FloatArray:

@@ -29,6 +29,7 @@ X_COLOR, Y_COLOR, Z_COLOR = "#D55E00", "#009E73", "#0072B2"
 CAMERA_COLORS = ("#332288", "#CC6677", "#117733", "#DDCC77", "#88CCEE", "#882255", "#44AA99", "#999933", "#AA4499")
 DASHES = ("-", "--", ":", "-.")
 NO_POSE_COLOR, PARTIAL_COLOR, COASTING_COLOR, STRAIGHT_COLOR = "#BBBBBB", "#F0E442", "#F6D9C2", "#D9C7E8"
+UNCERTAIN_COLOR = "#F4B6B6"
 INK = "#333333"
 
 # With more frames than this, markers would run into each other.
@@ -50,8 +51,9 @@ def summary(trajectory: Trajectory) -> str:
         raise ValueError("the trajectory has no frames")
     solved = [f for f in trajectory if f.measured]
     parts = [f"{len(solved)} of {len(trajectory)} frames with a pose"]
-    if coasting := sum(f.status is FrameStatus.COASTING for f in trajectory):
-        parts.append(f"coasting in {coasting}")
+    for status in (FrameStatus.COASTING, FrameStatus.UNCERTAIN):
+        if frames := sum(f.status is status for f in trajectory):
+            parts.append(f"{status.value} in {frames}")
     if solved:
         turn = trajectory.turn[trajectory.solved][-1]
         parts.append(f"turned {np.degrees(turn):.1f}° from the first to the last")
@@ -84,7 +86,8 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
         OSError: naming the file, when it cannot be written.
     """
     title = summary(trajectory)
-    solved, coasting = trajectory.solved, np.array([f.status is FrameStatus.COASTING for f in trajectory])
+    solved = trajectory.solved
+    pale = np.array([f.status in (FrameStatus.COASTING, FrameStatus.UNCERTAIN) for f in trajectory])
     times = trajectory.times
     marker = "." if len(trajectory) <= MARKED_FRAMES else ""
     figure = new_figure(11.5, 11.5)
@@ -101,7 +104,7 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
         (1, "tilt (about x)", X_COLOR),
         (2, "roll (about z)", Z_COLOR),
     ):
-        _line(angles, times, values[:, k], sigmas[:, k], coasting, color, label, marker)
+        _line(angles, times, values[:, k], sigmas[:, k], pale, color, label, marker)
     turn = np.where(solved, np.degrees(trajectory.turn), np.nan)
     angles.plot(times, turn, color=INK, linewidth=1.2, linestyle="--", label="total turn (0 to 180°)")
     angles.set_ylabel("angle (degrees)")
@@ -111,7 +114,7 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     scale, unit = _readable(float(np.abs(moved[solved]).max(initial=0)), trajectory.unit)
     sigmas = np.array([f.sigma[3:] for f in trajectory])
     for k, label, color in ((0, "x", X_COLOR), (1, "y", Y_COLOR), (2, "z", Z_COLOR)):
-        _line(position, times, scale * moved[:, k], scale * sigmas[:, k], coasting, color, label, marker)
+        _line(position, times, scale * moved[:, k], scale * sigmas[:, k], pale, color, label, marker)
     position.set_ylabel(f"position since the start ({unit})")
 
     colors = camera_colors(len(trajectory.camera_names))
@@ -183,15 +186,15 @@ def _line(
     x: FloatArray,
     y: FloatArray,
     sigma: FloatArray,
-    coasting: BoolArray,
+    pale: BoolArray,
     color: str,
     label: str,
     marker: str,
 ) -> None:
-    """What was measured as a line, and what was carried on only as pale dots that are not joined to it."""
-    panel.plot(x, np.where(coasting, np.nan, y), color=color, label=label, linewidth=1.6, marker=marker)
-    if coasting.any():
-        panel.plot(x, np.where(coasting, y, np.nan), ".", color=color, alpha=0.4, markersize=3, label="_coasting")
+    """What was measured as a line, and what was carried on only, or is hardly known, as pale dots not joined to it."""
+    panel.plot(x, np.where(pale, np.nan, y), color=color, label=label, linewidth=1.6, marker=marker)
+    if pale.any():
+        panel.plot(x, np.where(pale, y, np.nan), ".", color=color, alpha=0.4, markersize=3, label="_pale")
     sigma = np.where(np.isfinite(sigma), sigma, np.nan)
     panel.fill_between(x, y - 2 * sigma, y + 2 * sigma, color=color, alpha=0.18, linewidth=0)
 
@@ -213,16 +216,19 @@ def _legend(panel: Axes, handles: list[Line2D] | list[Line2D | Patch]) -> None:
 
 
 def _shade(panels: list[Axes], trajectory: Trajectory) -> list[Patch]:
-    """Strips behind frames that have no pose, coast, or do not tell how far it moved, in any unit or without a turn; returns
-    legend entries."""
+    """Strips behind frames that have no pose, or hardly one, coast, or do not tell how far it moved; returns legend
+    entries."""
     partial, straight = (
         np.array([f.observable is kind for f in trajectory]) for kind in (Observable.NO_SCALE, Observable.NO_LENGTH)
     )
     entries = []
-    coasting = np.array([f.status is FrameStatus.COASTING for f in trajectory])
+    coasting, uncertain = (
+        np.array([f.status is status for f in trajectory]) for status in (FrameStatus.COASTING, FrameStatus.UNCERTAIN)
+    )
     for frames, color, label in (
-        (~trajectory.solved & ~coasting, NO_POSE_COLOR, "no pose"),
+        (~trajectory.solved & ~coasting & ~uncertain, NO_POSE_COLOR, "no pose"),
         (coasting, COASTING_COLOR, "coasting: not seen, carried on"),
+        (uncertain, UNCERTAIN_COLOR, "uncertain: its turn is hardly known"),
         (partial, PARTIAL_COLOR, Observable.NO_SCALE.value),
         (straight, STRAIGHT_COLOR, Observable.NO_LENGTH.value),
     ):

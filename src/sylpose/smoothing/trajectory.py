@@ -151,7 +151,7 @@ def smooth(
                     observable=_observable(poses[k].observable, open_length),
                     inliers=counts[i],
                     residuals=residuals[i],
-                )
+                ).judged()
         poses = _with_gaps_filled(poses, [frame.pose for frame in frames], refined)
     return Smoothed(
         tuple(poses),

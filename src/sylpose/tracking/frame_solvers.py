@@ -10,7 +10,8 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from sylpose.landmarks.alignment import Aligned, Sights
+from sylpose.landmarks.alignment import Sights
+from sylpose.landmarks.alike import chosen
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.known_depth import solve_2d3d
 from sylpose.results import Status
@@ -49,8 +50,6 @@ OTHER_START_PX = (4.0, 1.0)
 # 31). So less forgiving ones are tried as well, with these noises, pixels: the last one always, all of them after a turn
 # by more than this since the last solved frame, radians (choice).
 JUMP, NARROW_PX = np.radians(8.0), (8.0, 2.0)
-# Poses whose mean robust costs differ by less explain the matches alike (choice).
-ALIKE = 0.01
 # So large a share of inliers is not had by chance (choice).
 CERTAIN_SHARE = 0.8
 # So many sights of a feature leave its depth a guess, and so does any number of them that show the object at rest: known no
@@ -221,36 +220,14 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights]]:
         other = fit_terms(data, problem.center, problem.radius, [problem.guess], problem.rng())
         starts += [(other.rotation, other.shift, px) for px in OTHER_START_PX if other.status is Status.OK]
     found_all = [(pose, found), *(crew.align(sights, R, shift, first_px=px) for R, shift, px in starts)]
-    pose, found = min(found_all, key=lambda f: f[0].vote)
-    alike = [f for f in found_all if f[0].vote < pose.vote + ALIKE and f[0].converged]
-    pose, found = min(alike, key=lambda f: _off(f[0], *problem.guess), default=(pose, found))
-    information = _doubted(pose, [f[0] for f in alike])
+    best, information = chosen([one for one, _ in found_all], *problem.guess)
+    pose, found = found_all[best]
     chances = crew.ask(lambda c: chance_of(sights[c], *found[c], pose.rotation, pose.shift, frames[c]))
     status = Status.OK if pose.converged else Status.NOT_CONVERGED
     if sum(chance.matches for chance in chances) < MIN_MATCHES or (status.has_pose and _by_chance(chances)):
         return _nothing(crew, problem, Status.NOT_CONSISTENT), sights
     agreement = crew.each(lambda c: cut(*found[c], pairs[c]))
     return Solution(status, pose.rotation, pose.shift, information, pose.iterations, agreement, pose.doubt), sights
-
-
-def _difference(one: Aligned, rotation: FloatArray, shift: FloatArray) -> FloatArray:
-    """(6,) (w, d) from a pose to another."""
-    turn = Rotation.from_matrix(rotation @ one.rotation.T).as_rotvec()
-    return np.concatenate([turn, shift - one.shift])
-
-
-def _off(one: Aligned, rotation: FloatArray, shift: FloatArray) -> float:
-    """Squared distance of a pose from another, by what the first knows."""
-    off = _difference(one, rotation, shift)
-    return float(off @ one.information @ off)
-
-
-def _doubted(pose: Aligned, others: Sequence[Aligned]) -> FloatArray:
-    """(6, 6) what is known of a pose that others explain as well: its covariance has the farthest one's difference, too."""
-    farthest = max(others, key=lambda other: _off(pose, other.rotation, other.shift), default=pose)
-    off = _difference(pose, farthest.rotation, farthest.shift)
-    told = pose.information @ off
-    return np.asarray(pose.information - np.outer(told, told) / (1.0 + off @ told))
 
 
 def _depth_sd(ages: Sequence[Ages]) -> float:

@@ -173,7 +173,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         Observable.NO_SCALE if len(team.rig) == 1 else observable,
         doubt,
         solution.faults,
-    )
+    ).judged()
     matches, seen_now = crew.each(lambda c: learnt[c][0]), crew.each(lambda c: learnt[c][1])
     return replace(after, last=last), TrackedFrame(
         result, frames, tuple(matches), tuple(found.regions), model.radius, tuple(seen_now), frame.late
