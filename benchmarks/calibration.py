@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.slides import error, tracks
-from sylpose.adjustment.bundle import Bundled, Observations, bundle
+from sylpose.adjustment.bundle import Observations, bundle
 from sylpose.adjustment.calibration import corrected, usual_doubt
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
@@ -75,13 +75,13 @@ def common(rig: Rig, truth: Rig) -> tuple[float, Rotation, FloatArray, FloatArra
     return scale, mean, shift, np.column_stack([left, 1e3 * np.linalg.norm(scale * mine + shift - true, axis=1)])
 
 
-def pose_errors(found: Bundled, rig: Rig, truth: Rig, true: RigidTransform) -> FloatArray:
-    """(N, 6) errors of (w, d), in the true world after the best common similarity."""
+def pose_errors(found: RigidTransform, rig: Rig, truth: Rig, true: RigidTransform) -> FloatArray:
+    """(N, 6) errors of (w, d) of poses that a rig was told, in the true world after the best common similarity."""
     scale, turn, shift, _ = common(rig, truth)
     out = []
     for k in range(len(true)):
         # The motion since the first frame, in the true world.
-        now, first = found.world_from_object[k], found.world_from_object[0]
+        now, first = found[k], found[0]
         moved = now * first.inv()
         w = turn * moved.rotation * turn.inv()
         t = scale * turn.apply(moved.translation) + shift - w.apply(shift)
@@ -115,7 +115,7 @@ def main() -> None:
             for found, now in ((given, told), (refined, refined.correction.rig)):
                 left = np.sqrt((common(now, rig)[3] ** 2).mean(axis=0))
                 focal = 100 * np.sqrt(np.mean([(a.focal / b.focal - 1) ** 2 for a, b in zip(now, rig, strict=True)]))
-                e = pose_errors(found, now, rig, true)
+                e = pose_errors(found.world_from_object, now, rig, true)
                 nees = [x @ np.linalg.solve(c, x) for x, c in zip(e[1:], found.covariance[1:], strict=True)]
                 row.append(
                     [

@@ -56,7 +56,9 @@ def excess_variance(
     octant = (points > np.median(points, axis=0)) @ np.array([1, 2, 4])
     frames = len(covariance)
     excess = np.zeros(frames)
-    for group in (8 * seen.camera + octant[landmark], seen.camera):
+    # All sights of a landmark are in one group, as they share its place: also those of a camera that was moved.
+    camera = seen.viewer[landmark]
+    for group in (8 * camera + octant[landmark], camera):
         names, group = np.unique(group, return_inverse=True)
         by_pose, by_shared = np.zeros((frames, len(names), 6)), np.zeros((len(names), *views.shared.shape))
         shares = np.zeros((frames, len(names), 6, 6))
