@@ -104,6 +104,21 @@ def test_five_times_better_and_honest() -> None:
     assert (refined(RIG, seen, recalibrate=False).doubt_shares[0]) == 1.0
 
 
+def test_an_exact_calibration_is_found_to_be_so() -> None:
+    """It is not made much worse, and what is not known of it is not much of what is not known of the poses."""
+    normalised: list[float] = []
+    for seed in range(2):
+        seen = tracks(BODY, TRUE, RIG, 50, 0.3, seed)
+        found = refined(RIG, seen)
+        assert found.correction is not None
+        assert left(found.correction.rig)[0] < 0.05
+        given = refined(RIG, seen, recalibrate=False)
+        assert (given.doubt_shares[[1, 3]] < 0.25).all()
+        e = pose_errors(given.world_from_object, RIG, RIG, TRUE)[1:]
+        normalised.append(float(np.median(np.einsum("ni,nij,nj->n", e, np.linalg.inv(given.covariance[1:]), e))))
+    assert 0.1 < np.mean(normalised) < 17.0
+
+
 def test_a_camera_that_was_moved() -> None:
     """Two cameras in one: before and after, with one lens."""
     values = np.zeros((4, 14))
