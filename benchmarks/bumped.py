@@ -42,13 +42,14 @@ SAID = re.compile(r"camera (\S+) was nudged at frame (\d+): the background turne
 
 
 class Bump(NamedTuple):
-    """What happens to a camera: a turn, camera's axes, and a shift of its centre (3,), world's axes; and how far the
-    background is behind it, length units, 0: it does not move with the camera."""
+    """What happens to a camera at a frame: a turn, camera's axes, and a shift of its centre (3,), world's axes; and how far
+    away from it the background is, length units, 0: it does not move with the camera."""
 
     camera: int
     turn: Rotation
     shift: FloatArray
     background: float
+    frame: int = BUMP
 
 
 class Scored(NamedTuple):
@@ -80,7 +81,7 @@ def bump_of(scene: Scene, camera: int, degrees: float, share: float, background:
 
 
 def images_of(scene: Scene, bump: Bump) -> list[tuple[Image, ...]]:
-    """The scene's images, with a camera that is bumped into at frame `BUMP`."""
+    """The scene's images, with a camera that is bumped into."""
     before = scene.rig.cameras[bump.camera]
     if bump.background:
         # What is at that depth behind the camera's middle moves by its shift as by a turn.
@@ -96,8 +97,8 @@ def images_of(scene: Scene, bump: Bump) -> list[tuple[Image, ...]]:
     first, then = render_frames(scene), render_frames(replace(scene, rig=Rig(cameras, "m")))
     images = []
     for k, (one, other) in enumerate(zip(first, then, strict=True)):
-        now = list(one if k < BUMP else other)
-        if k >= BUMP:
+        now = list(one if k < bump.frame else other)
+        if k >= bump.frame:
             now[bump.camera] = turned(now[bump.camera], before, seen.inv().as_rotvec())
         images.append(tuple(now))
     return images

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,12 +10,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.bumped import bump_of, images_of
 from sylpose import calibration
 from sylpose.adjustment.calibration import Correction, Moved
 from sylpose.app.recalibrate import REFINED, REFINED_END, at_the_end, changes, write_refined
 from sylpose.cli import main
 from sylpose.rig import Rig
-from sylpose.simulate import render_sequence, ring
+from sylpose.simulate import demo_scene, demo_truth, render_sequence, ring
+from sylpose.simulate.files import session_folder, write_boxes, write_videos
 
 
 def test_as_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -28,6 +31,25 @@ def test_as_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for a, b in zip(refined, truth.rig, strict=True):
         assert np.rad2deg((a.camera_from_world.rotation * b.camera_from_world.rotation.inv()).magnitude()) < 0.5
     assert (tmp_path / "s" / "sylpose" / "tracked.tum").exists()
+
+
+def test_a_camera_that_is_knocked_as_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = demo_scene(frames=16, turn_deg=40, size=(320, 240), n_cameras=3, seed=4)
+    bump = bump_of(scene, 1, 2.0, 0.02, 2.0)._replace(frame=6)
+    folder = session_folder(tmp_path / "s", scene.rig)
+    write_boxes(folder, {"object": demo_truth(scene).boxes})
+    write_videos(folder, scene.rig, iter(images_of(scene, bump)), scene.frames)
+    assert main(["track", str(folder), "--refine-calibration", "--no-overlay"]) == 0
+    said = capsys.readouterr().out
+    found = re.search(r"cam_1 was moved at frame 6: turned by (\S+)° ± \S+°, shifted by (\S+) ± \S+ m\.", said)
+    assert found is not None
+    turned, shifted = map(float, found.groups())
+    assert abs(turned - 2.0) < 0.5
+    assert abs(shifted - np.linalg.norm(bump.shift)) < 0.7 * np.linalg.norm(bump.shift)  # 16 frames tell no more
+    then, end = (calibration.load(folder / "sylpose" / name).cameras[1] for name in (REFINED, REFINED_END))
+    step = end.camera_from_world.rotation * then.camera_from_world.rotation.inv()
+    assert np.rad2deg((step * bump.turn.inv()).magnitude()) < 1.0
+    assert np.linalg.norm(end.center - then.center - bump.shift) < 0.8 * np.linalg.norm(bump.shift)
 
 
 def test_what_is_said() -> None:
