@@ -1,12 +1,13 @@
 """How much of a calibration's errors does `--refine-calibration` take out? Rigs with known truth, disturbed.
 
-    python benchmarks/calibration.py [--seeds 4] [--turn-deg 0 20 60 180] [--off 0 0.2 1 3]
+    python benchmarks/calibration.py [--seeds 4] [--turn-deg 0 20 60 180] [--off 0 0.2 1 3] [--features 60] [--matched]
 
 Simulated tracks of a body that turns and moves about, seen by the true rig, are told to be of a rig whose cameras are turned
 by so many degrees about each axis, shifted by 3 mm, focal lengths by 1 %, principal points by 5 px, radial coefficients by
 0.02 (one standard deviation each). For each row, before and after: the rms error of the cameras' turns and shifts after the
 best common similarity, of the focal lengths, of the last pose, and the median NEES of the poses with the given and with the
-refined calibration; and by what share of what was believed of them the given turns seemed to be off.
+refined calibration; the standard deviation that is said of the refined turns; and by what share of what was believed of them
+the given turns seemed to be off. With --matched what is believed is what they are off by.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.slides import error, tracks
-from sylpose.adjustment.bundle import Bundled, Observations, bundle
-from sylpose.adjustment.calibration import corrected, usual_doubt
+from sylpose.adjustment.bundle import Observations, bundle
+from sylpose.adjustment.calibration import Doubt, corrected, usual_doubt
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import arc, box, ring
@@ -49,6 +50,13 @@ def disturbed(rig: Rig, degrees: float, seed: int) -> Rig:
     return corrected(rig, np.hstack([np.zeros((n, 4)), sizes * rng.standard_normal((n, 10))]))
 
 
+def as_disturbed(rig: Rig, degrees: float) -> Doubt:
+    """What is true of `disturbed`."""
+    share, n = min(degrees, 1.0), len(rig)
+    lens = np.tile(share * np.array([0.01, 5.0, 5.0, 0.02]), (n, 1))
+    return Doubt(np.full(n, np.deg2rad(degrees)), np.full(n, 0.003 * share), lens, np.full(n, -1))
+
+
 def seen_as(seen: Observations, rig: Rig, told: Rig) -> Observations:
     """The same pixels, normalised by another calibration."""
     image = seen.image.copy()
@@ -75,13 +83,13 @@ def common(rig: Rig, truth: Rig) -> tuple[float, Rotation, FloatArray, FloatArra
     return scale, mean, shift, np.column_stack([left, 1e3 * np.linalg.norm(scale * mine + shift - true, axis=1)])
 
 
-def pose_errors(found: Bundled, rig: Rig, truth: Rig, true: RigidTransform) -> FloatArray:
-    """(N, 6) errors of (w, d), in the true world after the best common similarity."""
+def pose_errors(found: RigidTransform, rig: Rig, truth: Rig, true: RigidTransform) -> FloatArray:
+    """(N, 6) errors of (w, d) of poses that a rig was told, in the true world after the best common similarity."""
     scale, turn, shift, _ = common(rig, truth)
     out = []
     for k in range(len(true)):
         # The motion since the first frame, in the true world.
-        now, first = found.world_from_object[k], found.world_from_object[0]
+        now, first = found[k], found[0]
         moved = now * first.inv()
         w = turn * moved.rotation * turn.inv()
         t = scale * turn.apply(moved.translation) + shift - w.apply(shift)
@@ -93,29 +101,29 @@ def pose_errors(found: Bundled, rig: Rig, truth: Rig, true: RigidTransform) -> F
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--first", type=int, default=0, help="seed to begin with")
     parser.add_argument("--frames", type=int, default=24)
+    parser.add_argument("--features", type=int, default=60, help="per camera")
+    parser.add_argument("--matched", action="store_true", help="believe what is true of the disturbances")
     parser.add_argument("--turn-deg", type=float, nargs="+", default=[20.0, 60.0, 180.0])
     parser.add_argument("--off", type=float, nargs="+", default=[0.0, 0.2, 1.0, 3.0])
     options = parser.parse_args()
-    print(
-        "| rig | turn | off by | degrees | mm | focal, % | pose, degrees | pose, mm | NEES | of the cameras | share |"
-    )
+    print("| rig | turn | off by | degrees | mm | focal, % | pose, degrees | pose, mm | NEES | said, degrees | share |")
     print("|---|---|---|---|---|---|---|---|---|---|---|")
     body = box((0.24, 0.18, 0.2))
     for (name, rig), degrees, off in product(RIGS.items(), options.turn_deg, options.off):
         rows = []
-        for seed in range(options.seeds):
+        for seed in range(options.first, options.first + options.seeds):
             true, told = path(options.frames, degrees), disturbed(rig, off, seed)
-            seen = seen_as(tracks(body, true, rig, 60, 0.3, seed), rig, told)
-            given, refined = (
-                bundle(told, seen, true, body.radius, doubt=usual_doubt(told), recalibrate=r) for r in (False, True)
-            )
+            seen = seen_as(tracks(body, true, rig, options.features, 0.3, seed), rig, told)
+            doubt = as_disturbed(told, off) if options.matched else usual_doubt(told)
+            given, refined = (bundle(told, seen, true, body.radius, doubt=doubt, recalibrate=r) for r in (False, True))
             assert refined.correction is not None
             row = []
             for found, now in ((given, told), (refined, refined.correction.rig)):
                 left = np.sqrt((common(now, rig)[3] ** 2).mean(axis=0))
                 focal = 100 * np.sqrt(np.mean([(a.focal / b.focal - 1) ** 2 for a, b in zip(now, rig, strict=True)]))
-                e = pose_errors(found, now, rig, true)
+                e = pose_errors(found.world_from_object, now, rig, true)
                 nees = [x @ np.linalg.solve(c, x) for x, c in zip(e[1:], found.covariance[1:], strict=True)]
                 row.append(
                     [
@@ -126,10 +134,11 @@ def main() -> None:
                         np.median(nees),
                     ]
                 )
-            rows.append([*np.concatenate(row), given.doubt_shares[1]])
-        before, after, share = *np.split(np.mean(rows, axis=0)[:12], 2), np.mean(rows, axis=0)[12]
+            sd = np.rad2deg(np.sqrt((refined.correction.sd[:, :3] ** 2).sum(axis=1).mean()))
+            rows.append([*np.concatenate(row), sd, given.doubt_shares[1]])
+        before, after, (sd, share) = np.split(np.mean(rows, axis=0), [6, 12])
         cells = " | ".join(f"{a:.3g} → {b:.2g}" for a, b in zip(before, after, strict=True))
-        print(f"| {name} | {degrees:g}° | {off:g}° | {cells} | {share:.2f} |", flush=True)
+        print(f"| {name} | {degrees:g}° | {off:g}° | {cells} | {sd:.2g} | {share:.2f} |", flush=True)
 
 
 if __name__ == "__main__":

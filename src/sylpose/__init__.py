@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         Trajectory,
     )
     from sylpose.rig import Camera, Rig
+    from sylpose.tracking.joint import Nudge
     from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
     from sylpose.tracking.tracker import track
     from sylpose.two_frames.motion import estimate_motion, estimate_motions
@@ -79,6 +80,7 @@ __all__ = [
     "Matches",
     "Motion",
     "MotionView",
+    "Nudge",
     "Observable",
     "OneCameraSolution",
     "PairMoments",
@@ -149,6 +151,7 @@ _HOMES = {
     "sylpose.paper.one_camera": ("OneCameraSolution", "solve_one_camera"),
     "sylpose.results": ("FramePose", "FrameStatus", "Motion", "Observable", "RotationEstimate", "Status", "Trajectory"),
     "sylpose.rig": ("Camera", "Rig"),
+    "sylpose.tracking.joint": ("Nudge",),
     "sylpose.tracking.tracked_frame": ("Sightings", "TrackedFrame"),
     "sylpose.tracking.tracker": ("track",),
     "sylpose.two_frames.motion": ("estimate_motion", "estimate_motions"),

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.adjustment.calibration import corrected, usual_doubt
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray
 from sylpose.results import FramePose, FrameStatus, Status
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
 from sylpose.smoothing.trajectory import Smoothed, Track, _worth_using, smooth
+from sylpose.tracking.joint import Nudge
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
 
 RIG = ring(3, 1.5, 1000.0, height=(0.4, -0.1, 0.3))
@@ -38,9 +40,11 @@ def tracked(
     coasting: tuple[int, ...] = (),
     lost: tuple[int, ...] = (),
     apart_from: int = 1000,
+    nudged: tuple[Nudge, Rig] | None = None,
     seed: int = 0,
 ) -> list[Track]:
-    """What a tracker with errors of 0.3 degrees and 2 mm would give; landmarks have other numbers from a frame on."""
+    """What a tracker with errors of 0.3 degrees and 2 mm would give; landmarks have other numbers from a frame on; from a
+    nudge on the cameras are those of another rig."""
     rng, out = np.random.default_rng(seed), []
     cell = np.eye(6) * np.repeat([1e-5, 1e-5], 3)
     for k in range(n):
@@ -52,8 +56,10 @@ def tracked(
                 pose.translation + 0.002 * rng.standard_normal(3), shake * pose.rotation
             )
         status = FrameStatus.FIRST if k == 0 else FrameStatus.TRACKED
+        nudges = (nudged[0],) if nudged is not None and k >= nudged[0].frame else ()
+        now = nudged[1] if nudged is not None and nudges else rig
         sights: tuple[Sightings, ...] = tuple(
-            see(pose, c, rig, noise_px, rng, len(POINTS) * (c + len(rig) * (k >= apart_from))) for c in range(len(rig))
+            see(pose, c, now, noise_px, rng, len(POINTS) * (c + len(rig) * (k >= apart_from))) for c in range(len(rig))
         )
         if k in coasting:
             status, sights = FrameStatus.COASTING, ()
@@ -68,7 +74,7 @@ def tracked(
             np.zeros(len(rig), np.int64),
             np.full(len(rig), np.nan),
         )
-        out.append(Track(here, sights, np.zeros(len(rig)), RADIUS))
+        out.append(Track(here, sights, np.zeros(len(rig)), RADIUS, nudges))
     return out
 
 
@@ -120,6 +126,32 @@ def test_better_than_before_and_says_how_good() -> None:
     assert 0.87 < np.mean(normalised) < 17.0  # one in a hundred on either side
     assert all(p.inliers.sum() > 200 for p in found.poses[1:])
     assert 0.2 < np.nanmedian([p.residuals for p in found.poses[1:]]) / np.sqrt(2) < 0.4
+
+
+def test_a_camera_that_was_nudged_stands_elsewhere() -> None:
+    """Its images are turned back; that it was shifted, too, only what it sees of the object tells."""
+    values = np.zeros((3, 14))
+    values[1, 7:10] = shift = np.array([0.012, -0.015, 0.009])
+    nudge, doubt = Nudge(1, 10, np.deg2rad([0.5, 1.5, -1.0]), 1e-4), usual_doubt(RIG)
+    frames = tracked(nudged=(nudge, corrected(RIG, values)), seed=2)
+    as_if = smooth([replace(frame, nudges=()) for frame in frames], RIG, doubt=doubt)
+    found = smooth(frames, RIG, doubt=doubt)
+    assert [(m.camera, m.frame) for m in found.moved] == [(1, 10)]
+    assert found.correction is None
+    wrong, e = (np.abs(errors(s)[10:]) for s in (as_if, found))
+    assert e[:, :3].max() < min(np.deg2rad(0.15), 0.1 * wrong[:, :3].max())
+    assert e[:, 3:].max() < min(1.5e-3, 0.1 * wrong[:, 3:].max())
+    # Hardly less certain than if nothing had happened.
+    sigmas = [s.poses[-1].sigma for s in (found, smooth(tracked(seed=2), RIG, doubt=doubt))]
+    assert (sigmas[0] < 2.0 * sigmas[1]).all()
+    said = smooth(frames, RIG, doubt=doubt, recalibrate=True).correction
+    assert said is not None
+    off, sd, believed = said.values[3] - np.concatenate([np.zeros(3), shift, np.zeros(4)]), said.sd[3], said.believed[3]
+    assert (np.abs(off[:6]) < 4.0 * sd[:6]).all()
+    assert (sd[3:6] < 0.3 * believed[3:6]).all()
+    assert not said.values[3, 6:].any()  # one lens, before and after
+    np.testing.assert_array_equal(said.rig.cameras[3].matrix, said.rig.cameras[1].matrix)
+    assert smooth(frames, RIG).moved == ()  # nothing is doubted
 
 
 def test_one_camera() -> None:

@@ -262,8 +262,10 @@ def test_what_is_not_known_of_the_turn_is_not_known_of_the_pose(clip: Clip) -> N
     pose = FramePose(7, 0.2, FrameStatus.TRACKED, RigidTransform.identity(), np.eye(6), np.zeros(3, int), np.zeros(3))
     before, team = replace(pose, index=6), cast(Team, SimpleNamespace(rig=clip.rig))
     frames = [TrackedFrame(p, clip.frames()[0], (None,) * 3, (None,) * 3, 1.0) for p in (before, pose)]
-    joint = Joint(nudges=(Nudge(2, 7, np.radians(1.234), 0.1), Nudge(0, 9, 0.1, 0.1)))
-    one, other = (f.pose for f in with_nudges(team, joint, frames))
+    joint = Joint(nudges=(Nudge(2, 7, nudge(1.234), 0.1), Nudge(0, 9, nudge(5.7), 0.1)))
+    found = with_nudges(team, joint, frames)
+    assert [f.nudges for f in found] == [(), joint.nudges[:1]]
+    one, other = (f.pose for f in found)
     assert one.faults == ()
     assert other.faults == ("camera cam_2 was nudged at frame 7: the background turned by 1.2 degrees",)
     far = float(np.linalg.norm(clip.rig.cameras[2].center))

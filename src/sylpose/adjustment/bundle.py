@@ -15,14 +15,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import block_array, coo_array, csr_array, eye_array, tril
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.adjustment.calibration import Correction, Doubt, correction_of, doubting, relinearised, rescaled
+from sylpose.adjustment.calibration import (
+    EXACT,
+    Correction,
+    Doubt,
+    correction_of,
+    doubting,
+    freed,
+    relinearised,
+    rescaled,
+)
 from sylpose.adjustment.kernels import OFFSET, Sightings
 from sylpose.adjustment.length import told_by_noise
-from sylpose.adjustment.problem import Fit, Problem, State
+from sylpose.adjustment.problem import Fit, Problem, State, pattern_of, tied_frames
 from sylpose.adjustment.shared import offsets_and_surfaces, on_surface, usual_surfaces
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import Status
@@ -151,8 +158,8 @@ def bundle(
             soon tells more. None: `usual_surfaces`, those of ordinary bodies of the radius.
         surfaces_stay: do not ask whether turns tell where the surfaces are: they stay where they are believed to be.
         doubt: what may be wrong with the calibration. It is then in the covariance, as much as the recording shows it to be
-            wrong; None: nothing.
-        recalibrate: estimate that as well, instead of only counting it.
+            wrong; None: nothing. Where cameras stand that were bumped into is estimated.
+        recalibrate: estimate all of that, instead of only counting it.
         max_rounds: bound.
         on_round: called with the number of each round as it begins.
 
@@ -180,7 +187,7 @@ def bundle(
     turns, places = turns.reshape(-1, 3, 3), places.reshape(-1, 3)
     order, names, sightings = _sorted(seen, stays)
     often = np.diff(sightings.start) >= 2
-    tied = _tied(sightings, often, stays | known.any(axis=(1, 2)))
+    tied = tied_frames(sightings, often, stays | known.any(axis=(1, 2)))
     depth, depth_covariance = usual_surfaces(radius, n_cameras) if surfaces is None else surfaces
     shared = offsets_and_surfaces(
         n_cameras,
@@ -194,7 +201,7 @@ def bundle(
     problem = Problem(
         sightings=sightings,
         counted=np.repeat(often, np.diff(sightings.start)).astype(float),
-        pattern=_pattern(sightings, often),
+        pattern=pattern_of(sightings, often),
         start_turns=turns,
         start_places=places,
         prior=known + np.diag(weak),
@@ -213,6 +220,10 @@ def bundle(
     state = problem.with_motion(state)
     state = replace(state, points=problem.where_rays_meet(state) if given is None else given[names])
     problem = _on_surfaces(problem, state)
+    moved = doubt is not None and bool((doubt.before >= 0).any())
+    if doubt is not None and moved:
+        # Where cameras stand that were bumped into has to be free from the first: all poses would go astray.
+        problem, state = rescaled(*doubting(problem, state, rig, doubt), EXACT)
     if surfaces_stay:
         problem = problem.with_depths_held()
     if (tied & ~stays).any():
@@ -224,12 +235,14 @@ def bundle(
     summary = problem.summary(fit, tied)
     if not surfaces_stay and (tied & ~stays).any() and told_by_noise(problem, fit, summary, tied):
         problem = problem.with_depths_held()
-        fit = _minimise(problem, replace(fit.state, z=np.where(shared.depths, 0.0, fit.state.z)), max_rounds, on_round)
+        fit = _minimise(
+            problem, replace(fit.state, z=np.where(problem.shared.depths, 0.0, fit.state.z)), max_rounds, on_round
+        )
         summary = problem.summary(fit, tied)
     if doubt is not None:
         free = recalibrate and bool((tied & ~stays).any())
-        problem, state = doubting(problem, fit.state, rig, doubt, held=not free)
-        fit = replace(fit, state=state)
+        again = rescaled(problem, fit.state, np.ones(4)) if moved else doubting(problem, fit.state, rig, doubt)
+        problem, fit = freed(again[0]) if free else again[0], replace(fit, state=again[1])
         summary = problem.summary(fit, tied)
         for _ in range(RELINEARISED if free else 0):
             fit = _minimise(problem, fit.state, max_rounds, on_round)
@@ -240,7 +253,7 @@ def bundle(
             fit = _minimise(problem, fit.state, max_rounds, on_round)
             summary = problem.summary(fit, tied)
     state, shared = fit.state, problem.shared
-    correction = correction_of(shared, rig, state.z, summary.shared) if doubt is not None else None
+    correction = correction_of(shared, rig, doubt.before, state.z, summary.shared) if doubt is not None else None
 
     points = np.zeros((n_landmarks, 3)) if given is None else given.copy()
     points[names] = state.points
@@ -367,28 +380,3 @@ def _on_surfaces(problem: Problem, state: State) -> Problem:
     axes = np.einsum("mij,mkj->mki", back, problem.rotations[viewer][:, :2])
     toward, across = on_surface(state.points, centers, axes, problem.radius)
     return replace(problem, sightings=seen._replace(toward=toward, across=across))
-
-
-def _incidence(sightings: Sightings, rows: IntArray, n_rows: int, often: BoolArray) -> csr_array:
-    """(n_rows, m) which rows see which landmarks, of those seen at least twice; rows (n,) of the observations, or -1."""
-    landmark = np.repeat(np.arange(len(often)), np.diff(sightings.start))
-    used = often[landmark] & (rows >= 0)
-    entries = (np.ones(int(used.sum())), (rows[used], landmark[used]))
-    return coo_array(entries, shape=(n_rows, len(often))).tocsr()
-
-
-def _pattern(sightings: Sightings, often: BoolArray) -> csr_array:
-    """(F, F) lower triangle of which moving frames share landmarks."""
-    n = int(sightings.free.max()) + 1
-    sees = _incidence(sightings, sightings.free[sightings.frame], n, often)
-    pattern = csr_array(tril(sees @ sees.T + eye_array(n), format="csr"))
-    pattern.sort_indices()
-    return pattern
-
-
-def _tied(sightings: Sightings, often: BoolArray, anchored: BoolArray) -> BoolArray:
-    """(N,) frames that landmarks connect to an anchored one."""
-    n = len(anchored)
-    sees = _incidence(sightings, sightings.frame, n, often)
-    _, part = connected_components(block_array([[None, sees], [sees.T, None]]), directed=False)
-    return np.asarray(np.isin(part[:n], part[:n][anchored]))

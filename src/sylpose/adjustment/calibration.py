@@ -6,8 +6,8 @@ off. A turn or a shift that all cameras share is no error: it is where the world
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -19,12 +19,17 @@ from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.rig import Camera, Rig
 
 __all__ = [
+    "EXACT",
+    "MOVED_SHARE",
     "N_LENS",
     "Correction",
     "Doubt",
+    "Moved",
+    "apart",
     "corrected",
     "correction_of",
     "doubting",
+    "freed",
     "lens_slopes",
     "usual_doubt",
     "with_doubt",
@@ -42,6 +47,8 @@ TURN_DEG, SHIFT_SHARE, FOCAL_SHARE, MIDDLE_PX, BEND = 0.5, 0.003, 0.01, 5.0, 0.0
 TYPICAL_PX, BEST_SHARE = 1.0, 0.2
 # A camera that was bumped into may be turned and shifted by so much, one standard deviation (choice).
 MOVED_DEG, MOVED_SHARE = 5.0, 0.03
+# A calibration that is off by this share of what is believed is taken for exact (choice: from 0 there is no way back).
+EXACT = np.array([1.0, 1e-9, 1e-9, 1e-9])
 # Steps of differences by the lens, in the units of its unknowns, and by the normalised point (choice).
 STEPS, NEAR = np.array([1e-4, 1e-1, 1e-1, 1e-4]), 1e-4
 
@@ -54,14 +61,30 @@ class Doubt:
         turn: (C,) radians about each axis; shift: (C,) length units, of the centre, along each axis.
         lens: (C, 4) of the focal length, relative; of the principal point, pixels, both coordinates; of the first radial
             coefficient.
-        body: (C,) the same number for what is one camera in two places, before and after it was bumped into: its lens is
-            one, where it stands is two things.
+        before: (C,) a camera that was bumped into is two, one after the other: the number of what it was before, -1 where
+            that is nothing. What was wrong then still is, turn and shift are what came to it, and the lens is that one's.
     """
 
     turn: FloatArray
     shift: FloatArray
     lens: FloatArray
-    body: IntArray
+    before: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """A camera that stood elsewhere from some frame on.
+
+    Attributes:
+        camera: index in the rig; frame: the recording's number of the first frame after it.
+        turn_sd: radians, how far it may be turned about each axis beside what is known of it.
+        turn: (3,) rotation vector, camera's axes, that its images are turned back by since then.
+    """
+
+    camera: int
+    frame: int
+    turn_sd: float = np.deg2rad(MOVED_DEG)
+    turn: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +94,8 @@ class Correction:
     Attributes:
         rig: corrected.
         values, sd: (C, 10) what is off, and its standard deviation: turn (radians, camera's axes) and shift of the centre
-            (length units, world's axes), then the lens as in `Doubt`.
+            (length units, world's axes), then the lens as in `Doubt`. Of a camera that was bumped into, what came to what it
+            was before.
         believed: (C, 10) the standard deviation before, without what turns or shifts all cameras as one.
     """
 
@@ -81,67 +105,83 @@ class Correction:
     believed: FloatArray
 
 
-def usual_doubt(rig: Rig) -> Doubt:
-    """What calibrations typically leave; of a lens less where its own calibration says that it fits better than most."""
-    apart = _apart(rig)
-    share = np.array([1.0 if c.error_px is None else np.clip(c.error_px / TYPICAL_PX, BEST_SHARE, 1.0) for c in rig])
-    lens = np.array([FOCAL_SHARE, MIDDLE_PX, MIDDLE_PX, BEND])
-    n = len(rig)
-    return Doubt(np.full(n, np.deg2rad(TURN_DEG)), np.full(n, SHIFT_SHARE * apart), share[:, None] * lens, np.arange(n))
-
-
-def with_moved(rig: Rig, doubt: Doubt, moved: Mapping[int, int]) -> tuple[Rig, Doubt]:
-    """With a camera more for each that was moved, camera -> frame: the same one, that stands nobody knows quite where."""
-    apart = _apart(rig)
-    which = list(moved)
-    again = [replace(rig.cameras[c], name=f"{rig.cameras[c].name} from frame {frame}") for c, frame in moved.items()]
-    return Rig([*rig, *again], rig.unit), Doubt(
-        np.append(doubt.turn, np.full(len(which), np.deg2rad(MOVED_DEG))),
-        np.append(doubt.shift, np.full(len(which), MOVED_SHARE * apart)),
-        np.vstack([doubt.lens, doubt.lens[which]]),
-        np.append(doubt.body, doubt.body[which]),
-    )
-
-
-def with_doubt(shared: Shared, rig: Rig, doubt: Doubt, *, held: bool) -> Shared:
-    """With the calibration's unknowns as well, held or free: (C, K) columns become those of `kernels` up to the lens."""
-    n, width = len(rig), LENS + N_LENS
-    bodies = np.unique(doubt.body, return_inverse=True)[1]
-    k = 6 * n + N_LENS * (int(bodies.max()) + 1)
-    own = np.zeros((n, width, k))
-    for c in range(n):
-        own[c, TURN:SHIFT, 6 * c : 6 * c + 3] = doubt.turn[c] * np.eye(3)
-        own[c, SHIFT:LENS, 6 * c + 3 : 6 * c + 6] = doubt.shift[c] * np.eye(3)
-        first = 6 * n + N_LENS * bodies[c]
-        own[c, LENS:, first : first + N_LENS] = np.diag(doubt.lens[c])
-    own[..., : 6 * n] = own[..., : 6 * n] @ _not_common(rig, doubt)
-    mean, spread = np.zeros((n, width)), np.zeros((n, width, shared.spread.shape[2] + k))
-    mean[:, :TURN] = shared.mean[:, :TURN]
-    spread[:, :TURN, : shared.spread.shape[2]] = shared.spread[:, :TURN]
-    spread[:, :, shared.spread.shape[2] :] = own
-    first = np.zeros(n, bool)
-    first[np.unique(doubt.body, return_index=True)[1]] = True
-    kind = np.concatenate([shared.kind, (first[:, None] * np.repeat([1, 2], 3)).ravel(), np.full(k - 6 * n, 3)])
-    return Shared(mean, spread, shared.n_offsets, kind, np.ones(4), np.concatenate([shared.held, np.full(k, held)]))
-
-
-def _apart(rig: Rig) -> float:
+def apart(rig: Iterable[Camera]) -> float:
     """How far the cameras are from their middle, in the mean; 1 of a single one."""
     centers = np.array([camera.center for camera in rig])
     return float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean()) or 1.0
 
 
-def _not_common(rig: Rig, doubt: Doubt) -> FloatArray:
-    """(6 C, 6 C) takes out of turns and shifts, in standard deviations, what turns and shifts all cameras as one."""
+def usual_doubt(rig: Rig) -> Doubt:
+    """What calibrations typically leave; of a lens less where its own calibration says that it fits better than most."""
+    size = apart(rig)
+    share = np.array([1.0 if c.error_px is None else np.clip(c.error_px / TYPICAL_PX, BEST_SHARE, 1.0) for c in rig])
+    lens = np.array([FOCAL_SHARE, MIDDLE_PX, MIDDLE_PX, BEND])
+    n = len(rig)
+    return Doubt(
+        np.full(n, np.deg2rad(TURN_DEG)), np.full(n, SHIFT_SHARE * size), share[:, None] * lens, np.full(n, -1)
+    )
+
+
+def with_moved(rig: Rig, doubt: Doubt, moved: Sequence[Moved]) -> tuple[Rig, Doubt]:
+    """With a camera more for each that was moved, in order of time: the same one, that stands nobody knows quite where."""
+    shift, stood, before = MOVED_SHARE * apart(rig), np.arange(len(rig)), []
+    for i, m in enumerate(moved):
+        before.append(stood[m.camera])
+        stood[m.camera] = len(rig) + i
+    again = [replace(rig.cameras[m.camera], name=f"{rig.cameras[m.camera].name} from frame {m.frame}") for m in moved]
+    return Rig([*rig, *again], rig.unit), Doubt(
+        np.append(doubt.turn, [m.turn_sd for m in moved]),
+        np.append(doubt.shift, np.full(len(moved), shift)),
+        np.vstack([doubt.lens, doubt.lens[[m.camera for m in moved]]]),
+        np.append(doubt.before, np.array(before, np.int64)),
+    )
+
+
+def with_doubt(shared: Shared, rig: Rig, doubt: Doubt) -> Shared:
+    """With the calibration's unknowns as well: (C, K) columns become those of `kernels` up to the lens.
+
+    They are held, but for where cameras stand that were bumped into.
+    """
+    n, width, first = len(rig), LENS + N_LENS, np.flatnonzero(doubt.before < 0)
+    k = 6 * n + N_LENS * len(first)
+    own = np.zeros((n, width, k))
+    for c in range(n):
+        own[c, TURN:SHIFT, 6 * c : 6 * c + 3] = doubt.turn[c] * np.eye(3)
+        own[c, SHIFT:LENS, 6 * c + 3 : 6 * c + 6] = doubt.shift[c] * np.eye(3)
+    standing = (6 * first[:, None] + np.arange(6)).ravel()
+    own[:, :, standing] = own[:, :, standing] @ _not_common([rig.cameras[c] for c in first], doubt, first)
+    for i, c in enumerate(first.tolist()):
+        lens = 6 * n + N_LENS * i
+        own[c, LENS:, lens : lens + N_LENS] = np.diag(doubt.lens[c])
+    for c, before in enumerate(doubt.before.tolist()):
+        if before >= 0:
+            own[c] += own[before]
+    mean, spread = np.zeros((n, width)), np.zeros((n, width, shared.spread.shape[2] + k))
+    mean[:, :TURN] = shared.mean[:, :TURN]
+    spread[:, :TURN, : shared.spread.shape[2]] = shared.spread[:, :TURN]
+    spread[:, :, shared.spread.shape[2] :] = own
+    stands = np.repeat(doubt.before < 0, 6)
+    kind = np.concatenate([shared.kind, stands * np.tile(np.repeat([1, 2], 3), n), np.full(k - 6 * n, 3)])
+    stays = np.concatenate([shared.held, kind[len(shared.kind) :] > 0])
+    return Shared(mean, spread, shared.n_offsets, kind, np.ones(4), stays)
+
+
+def _not_common(rig: Sequence[Camera], doubt: Doubt, which: IntArray) -> FloatArray:
+    """(6 C, 6 C) takes out of turns and shifts of cameras, in standard deviations, what turns and shifts all of them as one.
+
+    Args:
+        which: (C,) they are in the doubt.
+    """
     centers, common = np.array([c.center for c in rig]), np.zeros((6 * len(rig), 6))
     middle = centers.mean(axis=0)
-    size = _apart(rig)
+    size = apart(rig)
     for c, camera in enumerate(rig):
+        turn, shift = doubt.turn[which[c]], doubt.shift[which[c]]
         # The world turned by w: X' = X + w x (X - middle), so Q' = Q exp(-w) = exp(-Q w) Q.
-        common[6 * c : 6 * c + 3, :3] = -camera.rotation / doubt.turn[c]
+        common[6 * c : 6 * c + 3, :3] = -camera.rotation / turn
         x, y, z = centers[c] - middle
-        common[6 * c + 3 : 6 * c + 6, :3] = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]) / doubt.shift[c]
-        common[6 * c + 3 : 6 * c + 6, 3:] = size * np.eye(3) / doubt.shift[c]
+        common[6 * c + 3 : 6 * c + 6, :3] = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]) / shift
+        common[6 * c + 3 : 6 * c + 6, 3:] = size * np.eye(3) / shift
     q = np.linalg.qr(common)[0]
     return np.asarray(np.eye(len(common)) - q @ q.T)
 
@@ -203,11 +243,17 @@ def _pixels_by_point(camera: Camera, x: FloatArray) -> FloatArray:
     )
 
 
-def doubting(problem: Problem, state: State, rig: Rig, doubt: Doubt, *, held: bool) -> tuple[Problem, State]:
-    """A problem in which the calibration is doubted as well, and a state of it: its calibration is the given one."""
-    shared = with_doubt(problem.shared, rig, doubt, held=held)
+def doubting(problem: Problem, state: State, rig: Rig, doubt: Doubt) -> tuple[Problem, State]:
+    """A problem in which the calibration is doubted as well, and a state of it: its calibration is the given one, which is
+    held."""
+    shared = with_doubt(problem.shared, rig, doubt)
     z = np.concatenate([state.z, np.zeros(shared.spread.shape[2] - len(state.z))])
     return relinearised(replace(problem, shared=shared), problem.sightings.image, rig, z), replace(state, z=z)
+
+
+def freed(problem: Problem) -> Problem:
+    """One in which what the calibration got wrong is estimated."""
+    return replace(problem, shared=replace(problem.shared, held=problem.shared.held & (problem.shared.kind == 0)))
 
 
 def rescaled(problem: Problem, state: State, shares: FloatArray) -> tuple[Problem, State]:
@@ -224,8 +270,8 @@ def relinearised(problem: Problem, image: FloatArray, rig: Rig, z: FloatArray) -
     return replace(problem, sightings=problem.sightings._replace(image=moved, lens=slopes))
 
 
-def correction_of(shared: Shared, rig: Rig, z: FloatArray, covariance: FloatArray) -> Correction:
-    """Of a refinement's shared unknowns z (k,) and their covariance (k, k)."""
-    values, spread = shared.of(z), shared.spread[:, TURN:]
+def correction_of(shared: Shared, rig: Rig, before: IntArray, z: FloatArray, covariance: FloatArray) -> Correction:
+    """Of a refinement's shared unknowns z (k,) and their covariance (k, k); before (C,) as in `Doubt`."""
+    spread = shared.spread[:, TURN:] - (before >= 0)[:, None, None] * shared.spread[before, TURN:]
     sd = np.sqrt(np.maximum(np.einsum("cik,kl,cil->ci", spread, covariance, spread), 0.0))
-    return Correction(corrected(rig, values), values[:, TURN:], sd, np.linalg.norm(spread, axis=2))
+    return Correction(corrected(rig, shared.of(z)), spread @ z, sd, np.linalg.norm(spread, axis=2))

@@ -19,9 +19,11 @@ __all__ = ["Factor", "Solver", "System", "diagonal_of_inverse", "told_shares"]
 
 # Systems of at most so many frames, or so full, are solved as dense ones (choice).
 DENSE_FRAMES, DENSE_SHARE = 100, 0.25
-# A calibration may be so much better or worse than calibrations usually are, and how good they usually are counts as much as
-# so many directions that are told (choice).
-LEAST_SHARE, MOST_SHARE, BELIEVED_FREEDOM = 0.05, 5.0, 1.0
+# A calibration may be so much better or worse than calibrations usually are (choice), and the logarithm of how much has this
+# standard deviation (choice: with 1.5 the two recordings are said to be known better than they are).
+LEAST_SHARE, MOST_SHARE, SHARE_LOG_SD = 0.05, 5.0, 1.0
+# The shares of turns, shifts and lenses follow from each other: they are found in turn, so often (choice).
+SHARE_ROUNDS = 5
 # The least that the diagonal is enlarged by, against rounding (choice).
 RIDGE = 1e-12
 
@@ -177,23 +179,25 @@ def told_shares(solver: Solver, system: System, excess: float) -> FloatArray:
     """(4,) by what share of what is believed of it at first each kind of the calibration's errors is off; 1 for none.
 
     Most likely, if they are all off alike: in the directions that the system tells of them, each with a variance of its own,
-    which is so many times what the system says, beside share squared. Where little is told, about 1, as was believed.
+    which is so many times what the system says, beside share squared; the others being off by their shares. Where little is
+    told, about 1, as was believed.
     """
-    kinds, out = system.shared.kind, np.ones(4)
+    kinds, before, out = system.shared.kind, system.shared.shares, np.ones(4)
     slope = solver.told @ system.z - (system.slope() - system.z)
     slope += solver.border.T @ solver.frames.solve(system.reduced.gradient.reshape(-1, 1))[:, 0]
     shares = np.geomspace(LEAST_SHARE, MOST_SHARE, 60)
-    for kind in np.unique(kinds[kinds > 0]):
+    for kind in SHARE_ROUNDS * np.unique(kinds[kinds > 0]).tolist():
         which = kinds == kind
-        other = ~which & ~solver.held
-        inner = solver.told[np.ix_(other, other)] + np.eye(int(other.sum()))
-        cross = np.linalg.solve(inner, solver.told[np.ix_(other, which)]).T
-        told = solver.told[np.ix_(which, which)] - cross @ solver.told[np.ix_(other, which)]
-        values, vectors = np.linalg.eigh(0.5 * (told + told.T))
-        values, off = np.maximum(values, 1e-12), vectors.T @ (slope[which] - cross @ slope[other])
-        variance = (shares[:, None] / system.shared.shares[kind]) ** 2 + excess / values
+        other, scale = ~which & ~solver.held, np.where(which, 1.0, (out / before)[kinds])
+        told, asks = solver.told * scale * scale[:, None], slope * scale
+        inner = told[np.ix_(other, other)] + np.eye(int(other.sum()))
+        cross = np.linalg.solve(inner, told[np.ix_(other, which)]).T
+        own = told[np.ix_(which, which)] - cross @ told[np.ix_(other, which)]
+        values, vectors = np.linalg.eigh(0.5 * (own + own.T))
+        values, off = np.maximum(values, 1e-12), vectors.T @ (asks[which] - cross @ asks[other])
+        variance = (shares[:, None] / before[kind]) ** 2 + excess / values
         cost = (np.log(variance) + (off / values) ** 2 / variance).sum(axis=1)
-        cost += BELIEVED_FREEDOM * (2.0 * np.log(shares) + shares**-2.0)
+        cost += (np.log(shares) / SHARE_LOG_SD) ** 2
         out[kind] = shares[np.argmin(cost)]
     return out
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from sylpose.adjustment.calibration import usual_doubt
 from sylpose.app.checkpoint import ExactPickler
 from sylpose.app.clock import Clock
-from sylpose.app.recalibrate import REFINED, changes, moved_cameras, write_refined
+from sylpose.app.recalibrate import REFINED, REFINED_END, changes, moved_cameras, write_refined
 from sylpose.report.files import TrajectoryWriter, WriterState, output_folder, read_trajectory, writing
 from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
@@ -82,7 +82,10 @@ class ObjectOutput:
         tracked = [self.folder / f"{TRACKED}{suffix}" for suffix in SUFFIXES]
         earlier = [self.report_path]  # it would be taken for this run's
         if resume is None:
-            earlier += [*(result if smooth else tracked), self.folder / REFINED, self.folder / TRACKS]
+            earlier += [
+                *(result if smooth else tracked),
+                *(self.folder / name for name in (REFINED, REFINED_END, TRACKS)),
+            ]
         for old in earlier:
             with writing(old):
                 old.unlink(missing_ok=True)
@@ -138,15 +141,16 @@ class ObjectOutput:
             with self._tracks_path.open("rb") as file:
                 while file.peek(1):
                     tracks.append(pickle.load(file))
-            moved = moved_cameras(self.trajectory) if self._recalibrate else {}
+            nudges = tracks[-1].nudges if tracks else ()
+            moved = moved_cameras(self.trajectory, nudges) if self._recalibrate else []
             doubt = usual_doubt(self._rig)
             result = smooth(
                 tracks, self._rig, doubt=doubt, recalibrate=self._recalibrate, moved=moved, on_round=on_round
             )
             self.poses[:] = result.poses
             if result.correction is not None:
-                self.files.append(write_refined(self.folder, result.correction, self._rig.names))
-                self.changes += changes(result.correction, self._rig)
+                self.files += write_refined(self.folder, result.correction, self._rig.names, result.moved)
+                self.changes += changes(result.correction, self._rig, result.moved)
             self._publish()
         return None if result.status is Status.OK else f"Smoothing: {result.status.text}"
 

@@ -7,7 +7,7 @@ frames leave each depth open (docs/benchmarks.md, "Smoothing", has the figures).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,11 +15,12 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, RotationSpline
 
 from sylpose.adjustment.bundle import Bundled, Observations
-from sylpose.adjustment.calibration import Correction, Doubt, with_moved
+from sylpose.adjustment.calibration import MOVED_SHARE, Correction, Doubt, Moved, apart, with_moved
 from sylpose.adjustment.sized import bundle_sized, length_is_open
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import FramePose, Observable, Status
 from sylpose.rig import Rig
+from sylpose.tracking.joint import Nudge
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
 
 __all__ = ["Smoothed", "Track", "smooth"]
@@ -42,17 +43,19 @@ class Track:
         sightings: per camera.
         late: (C,) seconds.
         radius: of the object.
+        nudges: of cameras, up to now.
     """
 
     pose: FramePose
     sightings: tuple[Sightings, ...]
     late: FloatArray
     radius: float
+    nudges: tuple[Nudge, ...] = ()
 
     @classmethod
     def of(cls, tracked: TrackedFrame) -> Track:
         """Of a frame that the tracker has yielded."""
-        return cls(tracked.pose, tracked.sightings, tracked.late, tracked.radius)
+        return cls(tracked.pose, tracked.sightings, tracked.late, tracked.radius, tracked.nudges)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +74,8 @@ class Smoothed:
             long or too short by one factor: what a motion without turns leaves open. inf when nothing was displaced, or
             nothing refined.
         length_share: in [0, 1], the share of it in the variance of all displacements.
-        correction: of the calibration, where that was asked for.
+        correction: of the calibration, where that was asked for; with a camera more for each that was moved.
+        moved: those, in order of time.
     """
 
     poses: tuple[FramePose, ...]
@@ -83,6 +87,7 @@ class Smoothed:
     length_sd: float = np.inf
     length_share: float = 0.0
     correction: Correction | None = None
+    moved: tuple[Moved, ...] = ()
 
 
 def smooth(
@@ -92,7 +97,7 @@ def smooth(
     offsets_sd: float | None = None,
     doubt: Doubt | None = None,
     recalibrate: bool = False,
-    moved: Mapping[int, int] | None = None,
+    moved: Sequence[Moved] = (),
     on_round: Callable[[int], None] | None = None,
 ) -> Smoothed:
     """Refines the poses of all frames together; the first one's stays.
@@ -103,13 +108,15 @@ def smooth(
         offsets_sd: seconds; if given, how far apart in time the cameras are is estimated too, within about this.
         doubt, recalibrate: what may be wrong with the calibration (`usual_doubt`), and whether to estimate it, as in
             `bundle`.
-        moved: which cameras stood elsewhere from which of the frames on; with `recalibrate` that is estimated too, and the
-            correction has a camera more for each, in this order.
+        moved: which cameras stood elsewhere from which of the frames on, beside those that the tracker saw being nudged;
+            where they stood is estimated, unless nothing is doubted.
         on_round: called with the number of each round of the refinement as it begins.
 
     Raises:
         ValueError: `recalibrate` or `moved` cameras without a doubt.
     """
+    if moved and doubt is None:
+        raise ValueError("moved: cameras that were moved need a doubt, of where they were at first")
     nothing = np.zeros(len(rig))
     # A frame that taught nothing (before the object was seen to move) would only bend the way between its neighbours.
     used = [k for k, f in enumerate(frames) if f.pose.measured and any(len(seen.landmark) for seen in f.sightings)]
@@ -118,13 +125,14 @@ def smooth(
         return Smoothed(tuple(poses), Status.TOO_FEW_MATCHES, nothing, nothing, np.full(len(rig), np.nan), 0)
     seen, places = _observations([frames[k] for k in used])
     late, wider, camera = np.array([frames[k].late for k in used]), rig, seen.camera
-    if moved:
-        if doubt is None:
-            raise ValueError("moved: cameras that were moved need a doubt, of where they were at first")
-        wider, doubt = with_moved(rig, doubt, moved)
-        for i, (c, first) in enumerate(moved.items()):
-            camera = np.where((seen.camera == c) & (np.array(used)[seen.frame] >= first), len(rig) + i, camera)
-        late = np.hstack([late, late[:, list(moved)]])
+    moves: tuple[Moved, ...] = ()
+    if doubt is not None:
+        moves = tuple(sorted([*_nudged(frames[used[-1]], rig), *moved], key=lambda m: m.frame))
+        wider, doubt = with_moved(rig, doubt, moves)
+        index = np.array([frames[k].pose.index for k in used])[seen.frame]
+        for i, m in enumerate(moves):
+            camera = np.where((seen.camera == m.camera) & (index >= m.frame), len(rig) + i, camera)
+        late = np.hstack([late, late[:, [m.camera for m in moves]]])
     bundled = bundle_sized(
         wider,
         replace(seen, camera=camera),
@@ -163,7 +171,17 @@ def smooth(
         bundled.length_sd,
         bundled.length_share,
         bundled.correction,
+        moves,
     )
+
+
+def _nudged(last: Track, rig: Rig) -> list[Moved]:
+    """Where the cameras stand that were nudged, as the last frame knows it: with the turn goes a shift, which the background
+    takes for a turn the more the nearer it is; it is taken to be behind the object."""
+    where, shift = last.pose.world_from_object, MOVED_SHARE * apart(rig)
+    assert where is not None
+    far = np.linalg.norm(np.array([c.center for c in rig]) - where.translation, axis=1)
+    return [Moved(n.camera, n.frame, float(np.hypot(n.sd, shift / far[n.camera])), n.turn) for n in last.nudges]
 
 
 def _observable(before: Observable, open_length: bool) -> Observable:

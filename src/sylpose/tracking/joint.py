@@ -38,13 +38,19 @@ class Nudge:
 
     Attributes:
         camera: index in the rig; frame: the recording's number of the first frame after it.
-        angle: that its background turned by, radians; sd: standard deviation of that, about the axis known least.
+        turn: (3,) rotation vector, camera's axes, that its background turned by since it last stood; sd: standard deviation
+            of that, radians, about the axis known least.
     """
 
     camera: int
     frame: int
-    angle: float
+    turn: FloatArray
     sd: float
+
+    @property
+    def angle(self) -> float:
+        """That its background turned by, radians."""
+        return float(np.linalg.norm(self.turn))
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,7 +57,7 @@ def steadied(team: Team, joint: Joint, frames: FrameSet) -> tuple[Joint, FrameSe
             return team.parts[c].watch.seen(frames.images[c], frames.masks[c])
         return (None, None) if c in turned else seen[c]
 
-    found = tuple(Nudge(c, told[c].since, told[c].angle, told[c].sd) for c in certain)
+    found = tuple(Nudge(c, told[c].since, told[c].turn, told[c].sd) for c in certain)
     return replace(joint, nudges=(*joint.nudges, *found)), _with(crew, frames, crew.each(heard))
 
 
@@ -78,7 +78,7 @@ def with_nudges(team: Team, joint: Joint, decided: Sequence[TrackedFrame]) -> li
                 f"{np.degrees(nudge.angle):.2g} degrees"
             )
             pose = replace(pose, covariance=covariance, faults=(*pose.faults, said))
-        out.append(replace(tracked, pose=pose) if before else tracked)
+        out.append(replace(tracked, pose=pose, nudges=tuple(before)) if before else tracked)
     return out
 
 

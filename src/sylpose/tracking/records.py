@@ -6,7 +6,7 @@ same (docs/map.md, "Two halves").
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -175,14 +175,20 @@ class Stance:
 
     Attributes:
         odd: whether it does not look as it did.
-        angle: that it seems to be turned by, radians; 0 where it is nothing like that.
+        turn: (3,) rotation vector, camera's axes, that it seems to be turned by since it last stood; 0 where it is nothing
+            like that.
         sd: standard deviation about the axis of which least is known, radians.
         since: the recording's number of the first frame that showed it.
         certain: whether two frames in a row showed the same.
     """
 
     odd: bool = False
-    angle: float = 0.0
+    turn: FloatArray = field(default_factory=lambda: np.zeros(3))
     sd: float = 0.0
     since: int = 0
     certain: bool = False
+
+    @property
+    def angle(self) -> float:
+        """That it seems to be turned by, radians."""
+        return float(np.linalg.norm(self.turn))

@@ -12,6 +12,7 @@ from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.results import FramePose, FrameStatus
 from sylpose.tracking.frame import CameraFrame, Pair
+from sylpose.tracking.joint import Nudge
 
 __all__ = ["Sightings", "TrackedFrame", "shown", "sightings", "unsolved_frame"]
 
@@ -45,6 +46,7 @@ class TrackedFrame:
         sightings: per camera, empty where the frame was not solved.
         late: (C,) seconds after `frames.time` at which each camera saw it.
         note: a sentence, where there is something to be said of this frame.
+        nudges: of cameras up to now, in order of time; from each on that camera's images are turned back.
     """
 
     pose: FramePose
@@ -55,6 +57,7 @@ class TrackedFrame:
     sightings: tuple[Sightings, ...] = ()
     late: FloatArray = field(default_factory=lambda: np.empty(0))
     note: str = ""
+    nudges: tuple[Nudge, ...] = ()
 
 
 def shown(

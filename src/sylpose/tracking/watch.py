@@ -104,7 +104,7 @@ class Watch:
         self.turned = turn
         if self.odd > PATIENCE and not certain:
             self.forget(PAUSE)
-        return Stance(True, _angle(turn.rotation), turn.sd, self.since, certain)
+        return Stance(True, Rotation.from_matrix(turn.rotation).as_rotvec(), turn.sd, self.since, certain)
 
     def turn_back(self) -> None:
         """What the last frame showed is a nudge."""
