@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from sylpose.adjustment.elimination import Reduced, reduce, substitute
 from sylpose.adjustment.kernels import BEHIND_PX, DEPTH, OFFSET, SHIFT, TURN, Sightings, Views, residuals
 from sylpose.adjustment.rays import where_rays_meet
+from sylpose.adjustment.relief import without_noise
 from sylpose.adjustment.shared import Shared
-from sylpose.adjustment.spread import excess_variance
+from sylpose.adjustment.spread import bent, excess_variance
 from sylpose.adjustment.system import Solver, System, told_shares
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.robust import biquartic_losses, biquartic_on_noise, biquartic_weights, robust_sigma
@@ -64,7 +65,7 @@ class Fit:
 @dataclass(frozen=True, eq=False)
 class Summary:
     """sigma (C,) pixels, distances (n,) pixels, covariance (N, 6, 6), shared (k, k) of z, excess (N,), and how well the
-    length of the path is known, `length_sd`, `length_share` and `doubt_shares` as in `Bundled`."""
+    length of the path is known, `length_sd`, `length_share`, `doubt_shares` and `away` as in `Bundled`."""
 
     sigma: FloatArray
     distances: FloatArray
@@ -74,6 +75,7 @@ class Summary:
     length_sd: float
     length_share: float
     doubt_shares: FloatArray
+    away: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +223,9 @@ class Problem:
         sigma = self.refined_noise(e, fit.weights, fit.leverage)
         views, moving = self.views(state), self.sightings.free >= 0
         scaled = fit.weights / sigma[self.sightings.camera] ** 2
-        system = self.system(state, views, scaled)
+        # Noise in the landmarks' relief would seem to tell turns.
+        points = without_noise(self.sightings, views, state.points, scaled, self.pull)
+        system = self.system(replace(state, points=points), views, scaled)
         solver = system.solver()
         own = solver.frames.inverse_blocks()
         # Groups that pull apart because the calibration is off are its uncertainty's, which is counted by itself.
@@ -231,7 +235,7 @@ class Problem:
         excess = np.ones(len(moving))
         excess[moving] = excess_variance(self.sightings, views, state.points, scaled, self.pull, system, every, noise)
         usual = float(np.median(excess[moving]))
-        shares = told_shares(every, system, usual)
+        shares = self._told_shares(state, views, scaled, usual)
         if self.shared.held[self.shared.kind > 0].any():
             solver = solver.scaled(shares[self.shared.kind])
             rows = solver.gain.reshape(rows.shape)
@@ -242,8 +246,27 @@ class Problem:
         covariance[moving] = own + rows @ solver.shared_covariance(usual) @ rows.transpose(0, 2, 1)
         covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
         shared = self._shared_covariance(solver, usual)
+        away = self._away(state, scaled, shared)
+        covariance = bent(covariance, away)
         length = self._length(state, solver, usual, covariance, tied)
-        return Summary(sigma, np.linalg.norm(e, axis=1), covariance, shared, excess, *length, shares)
+        return Summary(sigma, np.linalg.norm(e, axis=1), covariance, shared, excess, *length, shares, away)
+
+    def _away(self, state: State, weights: FloatArray, shared: FloatArray) -> FloatArray:
+        """(N, 3, 3) covariance of where the surface is that cameras see, all its observations together, from the object's
+        origin; weights (n,) of the observations, shared (k, k) covariance of z."""
+        share = np.bincount(self.sightings.camera, weights, minlength=len(self.focals))
+        toward = self.centers - state.places[:, None]
+        toward *= (share / max(share.sum(), 1e-300))[:, None] / np.linalg.norm(toward, axis=2, keepdims=True)
+        spread = self.shared.spread[:, DEPTH]
+        return np.asarray(np.einsum("kci,cd,kdj->kij", toward, spread @ shared @ spread.T, toward, optimize=True))
+
+    def _told_shares(self, state: State, views: Views, weights: FloatArray, excess: float) -> FloatArray:
+        """See `told_shares`; of the landmarks as they are, where the cost has its minimum."""
+        if not self.shared.kind.any():
+            return np.ones(4)
+        system = self.system(state, views, weights)
+        solver = system.solver()
+        return told_shares(solver.with_held(solver.held & (self.shared.kind == 0)), system, excess)
 
     def with_depths_held(self) -> Problem:
         """The same with surfaces that stay where they are believed to be."""
