@@ -6,8 +6,8 @@ of a plane that is only displaced, the more the more wrong it is. So the informa
 that is likeliest: if relief has a variance of its own, found from all landmarks of a camera, and one's noise another, each
 has only the share of it that the first has in the sum.
 
-Source: errors in variables, W. A. Fuller, "Measurement Error Models", 1987; B. Efron, C. Morris, "Stein's estimation rule and
-its competitors", 1973, for unequal variances; their use here is ours.
+Source: errors in variables, W. A. Fuller, "Measurement Error Models", 1987; unequal variances, B. Efron, C. Morris, "Stein's
+estimation rule and its competitors", 1973; their use here is ours.
 """
 
 from __future__ import annotations
@@ -48,12 +48,13 @@ def without_noise(
 
 
 def _scatter(squares: FloatArray, noise: FloatArray) -> float:
-    """Variance of the relief itself, of squares (n,) that have noise of a variance of its own each; 0 where noise explains
-    them."""
-    out = max(float(np.median(squares)), 1e-300)
+    """Variance of the relief itself, of squares (n,) of it that noise has a part in, of a variance of its own each; next to
+    nothing where noise explains them."""
+    out = float(np.median(squares))
+    least = 1e-6 * (out + float(np.median(noise)))
     for _ in range(ROUNDS):
-        weights = (out + noise) ** -2.0
-        out = max(float(weights @ (squares - noise) / weights.sum()), 1e-6 * out)
+        weights = (out + noise + least) ** -2.0
+        out = max(float(weights @ (squares - noise) / weights.sum()), least)
     return out
 
 
@@ -80,4 +81,4 @@ def relief_noise(
             moved = root[0, j] * v[0] + root[1, j] * v[1] + root[2, j] * v[2]
             size += moved * moved
         # V less what it owes to beliefs, V (V^-1 - pull) V, along u.
-        out[i] = whole - pull[0] * whole * whole - pull[1] * size
+        out[i] = max(whole - pull[0] * whole * whole - pull[1] * size, 0.0)
