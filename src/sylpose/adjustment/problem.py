@@ -26,8 +26,9 @@ __all__ = ["SIDE_RADII", "Fit", "Problem", "State", "Summary"]
 CUTOFF = 5.0
 # What the weighted mean square of Gaussian noise then lacks (derived).
 SHRINKAGE = biquartic_on_noise(CUTOFF).shrinkage
-# Noise is never believed to be less, pixels (choice).
-SIGMA_FLOOR_PX = 0.1
+# Noise is never believed to be less, pixels, when outliers are told from it (choice); and when it says how well poses are
+# known: of less, errors of pixels' positions and of lenses would be more (choice).
+SIGMA_FLOOR_PX, SIGMA_TOLD_PX = 0.1, 0.02
 # Degrees of freedom from which a camera's own noise level counts as much as that of all cameras together (choice).
 OWN_FREEDOM = 20.0
 # Landmarks lie on their viewer's surface give or take so many of the object's radii, which keeps those with little
@@ -206,8 +207,10 @@ class Problem:
         bulk = [robust_sigma(_some(x), SIGMA_FLOOR_PX) if len(x) > OWN_FREEDOM else pooled for x in of_camera]
         return self.refined_noise(e, self.weights(e, np.array(bulk)), leverage)
 
-    def refined_noise(self, e: FloatArray, weights: FloatArray, leverage: FloatArray) -> FloatArray:
-        """(C,) noise of each camera, pixels, from the residuals and their weights."""
+    def refined_noise(
+        self, e: FloatArray, weights: FloatArray, leverage: FloatArray, least: float = SIGMA_FLOOR_PX
+    ) -> FloatArray:
+        """(C,) noise of each camera, pixels, at least so many, from the residuals and their weights."""
         n, camera = len(self.focals), self.sightings.camera
         poses = 6.0 * self.pattern.shape[0]
         own = 2.0 - leverage - min(poses / max(float(weights.sum()), 1.0), 0.5)
@@ -215,12 +218,12 @@ class Problem:
         freedom = np.bincount(camera, weights * np.maximum(own, 0.0), minlength=n)
         pooled = squares.sum() / max(freedom.sum(), 1e-9)
         variance = (squares + OWN_FREEDOM * pooled) / (freedom + OWN_FREEDOM)
-        return np.asarray(np.sqrt(np.maximum(variance, SIGMA_FLOOR_PX**2)))
+        return np.asarray(np.sqrt(np.maximum(variance, least**2)))
 
     def summary(self, fit: Fit, tied: BoolArray) -> Summary:
         """What the search's end says, `tied` (N,) being the frames that anything is known of."""
         state, e = fit.state, self.residuals(fit.state)
-        sigma = self.refined_noise(e, fit.weights, fit.leverage)
+        sigma = self.refined_noise(e, fit.weights, fit.leverage, SIGMA_TOLD_PX)
         views, moving = self.views(state), self.sightings.free >= 0
         scaled = fit.weights / sigma[self.sightings.camera] ** 2
         # Noise in the landmarks' relief would seem to tell turns.
