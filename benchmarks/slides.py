@@ -17,7 +17,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import FrameSet, track
-from sylpose.adjustment.bundle import Bundled, Observations, bundle
+from sylpose.adjustment.bundle import Bundled, Observations
+from sylpose.adjustment.sized import bundle_sized
 from sylpose.frames import Box
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
@@ -116,7 +117,7 @@ def simulated(
     start = RigidTransform.from_components(
         truth.translation + shake[:, 3:], Rotation.from_rotvec(shake[:, :3]) * truth.rotation
     )
-    return bundle(rig, tracks(body, truth, rig, 60, 0.4, seed), start, factor * body.radius)
+    return bundle_sized(rig, tracks(body, truth, rig, 60, 0.4, seed), start, factor * body.radius)
 
 
 def rendered(

@@ -276,6 +276,17 @@ def test_covariance() -> None:
     assert not found.covariance[0].any()
 
 
+def test_covariance_of_little_noise() -> None:
+    """Of less than outliers are told from: the covariance is as small as it is."""
+    poses, normalised = path(np.arange(15)), []
+    for seed in range(12):
+        found = bundle(RIG, tracks([poses] * 4, 30, 0.04, seed), off(poses), RADIUS)
+        e = error(poses, found.world_from_object)[-1]
+        normalised.append(e @ np.linalg.solve(found.covariance[-1], e))
+        np.testing.assert_allclose(found.sigma_px, 0.04, rtol=0.15)
+    assert 2.5 < np.mean(normalised) < 9.0
+
+
 def test_covariance_of_errors_that_are_alike() -> None:
     """Noise that hardly changes from one sight of a landmark to the next: 4 of 5 parts stay."""
     poses, narrow, wide = path(0.4 * np.arange(15)), [], []

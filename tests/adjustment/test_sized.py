@@ -1,12 +1,15 @@
-"""Small turns refined from two starts: a start that gives up the frame that tells the surface is not the better one."""
+"""Small turns refined from two starts: a start that gives up the frame that tells the surface is not the better one; and
+slides whose turn is hardly told are as uncertain as they are wrong."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.slides import DIRECTIONS, RIGS, error, path, simulated
 from sylpose.adjustment.bundle import Bundled, Observations, bundle
 from sylpose.adjustment.sized import bundle_sized, gives_up
 from sylpose.numerics.arrays import FloatArray
@@ -53,6 +56,19 @@ def test_the_frame_that_tells_the_surface_is_kept() -> None:
     # Three in the mean where the covariance is right; one with doubts of degrees is right about everything.
     assert 1.0 < np.median(squares) < 8.0
     assert wide <= 2
+
+
+def test_slides_of_flat_and_thin_bodies_along_the_view() -> None:
+    """Noise that is taken for relief turns them by degrees: what is then said has to be as wide as that, and no wider."""
+    squares, degrees = [], []
+    for seed, name, where in product((3, 203, 303), ("board", "rod"), ("2 in 40°", "3 in 60°")):
+        found = simulated(name, RIGS[where], "slide", DIRECTIONS[3], 1.0, seed, 10)
+        off = error(path(10, DIRECTIONS[3], "slide")[-1], found.world_from_object[-1])
+        squares.append(float(off @ np.linalg.solve(found.covariance[-1], off)))
+        degrees.append(float(np.degrees(np.linalg.norm(off[:3]))))
+    assert max(degrees) > 1.0
+    assert 2.0 < np.mean(squares) < 9.0
+    assert max(squares) < 30.0
 
 
 def refined(seed: int) -> tuple[Bundled, Observations]:

@@ -101,6 +101,8 @@ class Bundled:
         correction: of the calibration, if that was asked for.
         doubt_shares: (4,) 1, then by what share of the doubt the cameras' turns, their shifts and their lenses seem to be
             off; 1 where nothing was doubted.
+        away: (N, 3, 3) covariance of where the surface is that cameras see, all its observations together, from the object's
+            origin: `bent`.
     """
 
     status: Status
@@ -119,6 +121,7 @@ class Bundled:
     length_share: float
     correction: Correction | None
     doubt_shares: FloatArray
+    away: FloatArray
 
 
 def bundle(
@@ -282,6 +285,7 @@ def bundle(
         summary.length_share,
         correction if recalibrate else None,
         summary.doubt_shares,
+        summary.away,
     )
 
 

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from sylpose.adjustment.elimination import Reduced, reduce, substitute
 from sylpose.adjustment.kernels import BEHIND_PX, DEPTH, OFFSET, SHIFT, TURN, Sightings, Views, residuals
 from sylpose.adjustment.rays import where_rays_meet
+from sylpose.adjustment.relief import without_noise
 from sylpose.adjustment.shared import Shared
-from sylpose.adjustment.spread import excess_variance
+from sylpose.adjustment.spread import bent, excess_variance
 from sylpose.adjustment.system import Solver, System, told_shares
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.robust import biquartic_losses, biquartic_on_noise, biquartic_weights, robust_sigma
@@ -26,8 +27,9 @@ __all__ = ["SIDE_RADII", "Fit", "Problem", "State", "Summary", "pattern_of", "ti
 CUTOFF = 5.0
 # What the weighted mean square of Gaussian noise then lacks (derived).
 SHRINKAGE = biquartic_on_noise(CUTOFF).shrinkage
-# Noise is never believed to be less, pixels (choice).
-SIGMA_FLOOR_PX = 0.1
+# Noise is never believed to be less, pixels, when outliers are told from it (choice); and when it says how well poses are
+# known: of less, errors of pixels' positions and of lenses would be more (choice).
+SIGMA_FLOOR_PX, SIGMA_TOLD_PX = 0.1, 0.02
 # Degrees of freedom from which a camera's own noise level counts as much as that of all cameras together (choice).
 OWN_FREEDOM = 20.0
 # Landmarks lie on their viewer's surface give or take so many of the object's radii, which keeps those with little
@@ -65,7 +67,7 @@ class Fit:
 @dataclass(frozen=True, eq=False)
 class Summary:
     """sigma (C,) pixels, distances (n,) pixels, covariance (N, 6, 6), shared (k, k) of z, excess (N,), and how well the
-    length of the path is known, `length_sd`, `length_share` and `doubt_shares` as in `Bundled`."""
+    length of the path is known, `length_sd`, `length_share`, `doubt_shares` and `away` as in `Bundled`."""
 
     sigma: FloatArray
     distances: FloatArray
@@ -75,6 +77,7 @@ class Summary:
     length_sd: float
     length_share: float
     doubt_shares: FloatArray
+    away: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,8 +208,10 @@ class Problem:
         bulk = [robust_sigma(_some(x), SIGMA_FLOOR_PX) if len(x) > OWN_FREEDOM else pooled for x in of_camera]
         return self.refined_noise(e, self.weights(e, np.array(bulk)), leverage)
 
-    def refined_noise(self, e: FloatArray, weights: FloatArray, leverage: FloatArray) -> FloatArray:
-        """(C,) noise of each camera, pixels, from the residuals and their weights."""
+    def refined_noise(
+        self, e: FloatArray, weights: FloatArray, leverage: FloatArray, least: float = SIGMA_FLOOR_PX
+    ) -> FloatArray:
+        """(C,) noise of each camera, pixels, at least so many, from the residuals and their weights."""
         n, camera = len(self.focals), self.sightings.camera
         poses = 6.0 * self.pattern.shape[0]
         own = 2.0 - leverage - min(poses / max(float(weights.sum()), 1.0), 0.5)
@@ -214,15 +219,17 @@ class Problem:
         freedom = np.bincount(camera, weights * np.maximum(own, 0.0), minlength=n)
         pooled = squares.sum() / max(freedom.sum(), 1e-9)
         variance = (squares + OWN_FREEDOM * pooled) / (freedom + OWN_FREEDOM)
-        return np.asarray(np.sqrt(np.maximum(variance, SIGMA_FLOOR_PX**2)))
+        return np.asarray(np.sqrt(np.maximum(variance, least**2)))
 
     def summary(self, fit: Fit, tied: BoolArray) -> Summary:
         """What the search's end says, `tied` (N,) being the frames that anything is known of."""
         state, e = fit.state, self.residuals(fit.state)
-        sigma = self.refined_noise(e, fit.weights, fit.leverage)
+        sigma = self.refined_noise(e, fit.weights, fit.leverage, SIGMA_TOLD_PX)
         views, moving = self.views(state), self.sightings.free >= 0
         scaled = fit.weights / sigma[self.sightings.camera] ** 2
-        system = self.system(state, views, scaled)
+        # Noise in the landmarks' relief would seem to tell turns.
+        points = without_noise(self.sightings, views, state.points, scaled, self.pull)
+        system = self.system(replace(state, points=points), views, scaled)
         solver = system.solver()
         own = solver.frames.inverse_blocks()
         # Groups that pull apart because the calibration is off are its uncertainty's, which is counted by itself.
@@ -232,7 +239,7 @@ class Problem:
         excess = np.ones(len(moving))
         excess[moving] = excess_variance(self.sightings, views, state.points, scaled, self.pull, system, every, noise)
         usual = float(np.median(excess[moving]))
-        shares = told_shares(every, system, usual)
+        shares = self._told_shares(state, views, scaled, usual)
         if self.shared.held[self.shared.kind > 0].any():
             solver = solver.scaled(shares[self.shared.kind])
             rows = solver.gain.reshape(rows.shape)
@@ -243,8 +250,27 @@ class Problem:
         covariance[moving] = own + rows @ solver.shared_covariance(usual) @ rows.transpose(0, 2, 1)
         covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
         shared = self._shared_covariance(solver, usual)
+        away = self._away(state, scaled, shared)
+        covariance = bent(covariance, away)
         length = self._length(state, solver, usual, covariance, tied)
-        return Summary(sigma, np.linalg.norm(e, axis=1), covariance, shared, excess, *length, shares)
+        return Summary(sigma, np.linalg.norm(e, axis=1), covariance, shared, excess, *length, shares, away)
+
+    def _away(self, state: State, weights: FloatArray, shared: FloatArray) -> FloatArray:
+        """(N, 3, 3) covariance of where the surface is that cameras see, all its observations together, from the object's
+        origin; weights (n,) of the observations, shared (k, k) covariance of z."""
+        share = np.bincount(self.sightings.camera, weights, minlength=len(self.focals))
+        toward = self.centers - state.places[:, None]
+        toward *= (share / max(share.sum(), 1e-300))[:, None] / np.linalg.norm(toward, axis=2, keepdims=True)
+        spread = self.shared.spread[:, DEPTH]
+        return np.asarray(np.einsum("kci,cd,kdj->kij", toward, spread @ shared @ spread.T, toward, optimize=True))
+
+    def _told_shares(self, state: State, views: Views, weights: FloatArray, excess: float) -> FloatArray:
+        """See `told_shares`; of the landmarks as they are, where the cost has its minimum."""
+        if not self.shared.kind.any():
+            return np.ones(4)
+        system = self.system(state, views, weights)
+        solver = system.solver()
+        return told_shares(solver.with_held(solver.held & (self.shared.kind == 0)), system, excess)
 
     def with_depths_held(self) -> Problem:
         """The same with surfaces that stay where they are believed to be."""

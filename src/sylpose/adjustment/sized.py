@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.adjustment.bundle import Bundled, Observations, bundle
 from sylpose.adjustment.problem import CUTOFF
 from sylpose.adjustment.shared import SURFACE_RADII, on_surface
+from sylpose.adjustment.spread import bent
 from sylpose.landmarks.shape import extent_of, size_of
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.robust import biquartic_losses
@@ -53,7 +54,7 @@ def bundle_sized(
     if surfaces is not None:
         again = {**options, "landmarks": found.landmarks, "surfaces": surfaces}
         found = bundle(rig, seen, found.world_from_object, radius, **again)
-    return replace(found, covariance=found.covariance + rivals)
+    return replace(found, covariance=found.covariance + bent(rivals, found.away))
 
 
 def _of_two_starts(

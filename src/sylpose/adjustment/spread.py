@@ -20,7 +20,7 @@ from sylpose.adjustment.scores import scores
 from sylpose.adjustment.system import Solver, System
 from sylpose.numerics.arrays import FloatArray
 
-__all__ = ["excess_variance"]
+__all__ = ["bent", "excess_variance"]
 
 
 # Frames that a frame's figure is the median of (choice).
@@ -91,3 +91,18 @@ def _ratio(
     ratio = np.ones(frames)
     np.divide(found, expected, out=ratio, where=expected > LEAST_FREEDOM)
     return ratio
+
+
+def bent(covariance: FloatArray, away: FloatArray) -> FloatArray:
+    """(N, 6, 6) covariances of (w, d), and what they lack where neither w nor where the surface is are known.
+
+    Images hold the surface where it is seen, p from the object's origin; so d has an error w x p, and where both w and p are
+    in doubt that is a product of the two, which no linear covariance has in it.
+
+    Args:
+        away: (N, 3, 3) covariance of p.
+    """
+    cross = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1)
+    out = covariance.copy()
+    out[:, 3:, 3:] += np.einsum("abc,def,kbe,kcf->kad", cross, cross, covariance[:, :3, :3], away, optimize=True)
+    return out
