@@ -29,8 +29,9 @@ from sylpose.adjustment.calibration import (
 )
 from sylpose.adjustment.kernels import OFFSET, Sightings
 from sylpose.adjustment.length import told_by_noise
-from sylpose.adjustment.problem import Fit, Problem, State, pattern_of, tied_frames
+from sylpose.adjustment.problem import Fit, Problem, State
 from sylpose.adjustment.shared import offsets_and_surfaces, on_surface, usual_surfaces
+from sylpose.adjustment.ties import pattern_of, tied_frames
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import Status
 from sylpose.rig import Rig

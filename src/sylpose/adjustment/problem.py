@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import block_array, coo_array, csr_array, eye_array, tril
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from sylpose.adjustment.elimination import Reduced, reduce, substitute
@@ -16,11 +15,11 @@ from sylpose.adjustment.relief import without_noise
 from sylpose.adjustment.shared import Shared
 from sylpose.adjustment.spread import bent, excess_variance
 from sylpose.adjustment.system import Solver, System, told_shares
-from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.robust import biquartic_losses, biquartic_on_noise, biquartic_weights, robust_sigma
 from sylpose.results import Status
 
-__all__ = ["SIDE_RADII", "Fit", "Problem", "State", "Summary", "pattern_of", "tied_frames"]
+__all__ = ["SIDE_RADII", "Fit", "Problem", "State", "Summary"]
 
 
 # Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five (choice).
@@ -345,31 +344,6 @@ class Problem:
         """(N, 6) of (w, d) since the start."""
         turn = Rotation.from_matrix(state.turns @ self.start_turns.transpose(0, 2, 1)).as_rotvec()
         return np.hstack([turn, state.places - self.start_places])
-
-
-def _incidence(sightings: Sightings, rows: IntArray, n_rows: int, often: BoolArray) -> csr_array:
-    """(n_rows, m) which rows see which landmarks, of those seen at least twice; rows (n,) of the observations, or -1."""
-    landmark = np.repeat(np.arange(len(often)), np.diff(sightings.start))
-    used = often[landmark] & (rows >= 0)
-    entries = (np.ones(int(used.sum())), (rows[used], landmark[used]))
-    return coo_array(entries, shape=(n_rows, len(often))).tocsr()
-
-
-def pattern_of(sightings: Sightings, often: BoolArray) -> csr_array:
-    """(F, F) lower triangle of which moving frames share landmarks."""
-    n = int(sightings.free.max()) + 1
-    sees = _incidence(sightings, sightings.free[sightings.frame], n, often)
-    pattern = csr_array(tril(sees @ sees.T + eye_array(n), format="csr"))
-    pattern.sort_indices()
-    return pattern
-
-
-def tied_frames(sightings: Sightings, often: BoolArray, anchored: BoolArray) -> BoolArray:
-    """(N,) frames that landmarks connect to an anchored one."""
-    n = len(anchored)
-    sees = _incidence(sightings, sightings.frame, n, often)
-    _, part = connected_components(block_array([[None, sees], [sees.T, None]]), directed=False)
-    return np.asarray(np.isin(part[:n], part[:n][anchored]))
 
 
 def _some(values: FloatArray) -> FloatArray:
