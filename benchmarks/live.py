@@ -99,12 +99,18 @@ def compared(scene: Turn, sets: int) -> Compared:
 
 def error(scene: Turn, first: int, start: FramePose, k: int, pose: FramePose) -> FloatArray:
     """(2,) degrees, and millimetres of the object's centre, by which the motion since the first frame is off."""
+    off = difference(scene, first, start, k, pose)
+    return np.array([np.degrees(np.linalg.norm(off[:3])), 1e3 * np.linalg.norm(off[3:])])
+
+
+def difference(scene: Turn, first: int, start: FramePose, k: int, pose: FramePose) -> FloatArray:
+    """(6,) (w, d) by which the motion since the first frame is off, d of the object's centre."""
     assert start.world_from_object is not None
     assert pose.world_from_object is not None
     true = scene.world_from_object[k] * scene.world_from_object[first].inv()
     motion, center = pose.world_from_object * start.world_from_object.inv(), start.world_from_object.translation
-    turn = np.degrees((motion.rotation * true.rotation.inv()).magnitude())
-    return np.array([turn, 1e3 * np.linalg.norm(motion.apply(center) - true.apply(center))])
+    turn = (motion.rotation * true.rotation.inv()).as_rotvec()
+    return np.concatenate([turn, motion.apply(center) - true.apply(center)])
 
 
 def line(name: str, c: Compared) -> str:
