@@ -52,7 +52,8 @@ def disturbed(rig: Rig, degrees: float, seed: int) -> Rig:
 
 def as_disturbed(rig: Rig, degrees: float) -> Doubt:
     """What is true of `disturbed`."""
-    share, n = min(degrees, 1.0), len(rig)
+    degrees, n = max(degrees, 1e-6), len(rig)  # nothing at all cannot be believed
+    share = min(degrees, 1.0)
     lens = np.tile(share * np.array([0.01, 5.0, 5.0, 0.02]), (n, 1))
     return Doubt(np.full(n, np.deg2rad(degrees)), np.full(n, 0.003 * share), lens, np.full(n, -1))
 

@@ -71,6 +71,12 @@ def test_a_pose_whose_turn_is_hardly_known_is_not_found(degrees: float, uncertai
         assert judged.status is (FrameStatus.UNCERTAIN if uncertain else status)
         assert judged.measured is not uncertain
         assert judged.world_from_object is pose.world_from_object
+    # Known better since, it is found again; without a bound it is not known.
+    hardly = replace(pose_with(np.random.default_rng(1), 3), status=FrameStatus.UNCERTAIN, covariance=covariance)
+    assert hardly.seen
+    assert hardly.judged().status is (FrameStatus.UNCERTAIN if uncertain else FrameStatus.TRACKED)
+    for unknown in (np.inf, np.nan):
+        assert replace(hardly, covariance=np.diag([unknown, *np.ones(5)])).judged().status is FrameStatus.UNCERTAIN
     for status in (FrameStatus.FIRST, FrameStatus.COASTING, FrameStatus.LOST):
         same = pose_with(np.random.default_rng(1), 3, status)
         assert same.judged() is same

@@ -14,6 +14,7 @@ from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.matrices import covariance_of
 
 __all__ = [
+    "UNCERTAIN_TURN",
     "FramePose",
     "FrameStatus",
     "Motion",
@@ -252,11 +253,19 @@ class FramePose:
         known."""
         return self.world_from_object is not None and self.status not in (FrameStatus.COASTING, FrameStatus.UNCERTAIN)
 
+    @property
+    def seen(self) -> bool:
+        """Whether the object was found in this frame's images, however well that tells its pose."""
+        return self.measured or self.status is FrameStatus.UNCERTAIN
+
     def judged(self) -> Self:
-        """The same as `UNCERTAIN` where it was found, but how the object is turned is hardly known."""
-        found = self.status in (FrameStatus.TRACKED, FrameStatus.RELOCALISED)
-        hardly = found and np.linalg.eigvalsh(self.covariance[:3, :3])[-1] > UNCERTAIN_TURN**2
-        return replace(self, status=FrameStatus.UNCERTAIN) if hardly else self
+        """The same as `UNCERTAIN` where the object was seen but how it is turned is hardly known, and not so where it is."""
+        if not self.seen or self.status is FrameStatus.FIRST:
+            return self
+        about = self.covariance[:3, :3]
+        if not np.isfinite(about).all() or np.linalg.eigvalsh(about)[-1] > UNCERTAIN_TURN**2:
+            return replace(self, status=FrameStatus.UNCERTAIN)
+        return replace(self, status=FrameStatus.TRACKED) if self.status is FrameStatus.UNCERTAIN else self
 
     @property
     def sigma(self) -> FloatArray:

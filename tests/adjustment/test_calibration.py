@@ -69,6 +69,14 @@ def test_what_turns_all_cameras_is_no_error() -> None:
         assert common.ravel() @ covariance @ common.ravel() < 1e-6 * size
 
 
+@pytest.mark.parametrize("recalibrate", [False, True])
+def test_groups_of_one_camera_that_say_nothing_add_nothing(recalibrate: bool) -> None:
+    rig = Rig(RIG.cameras[:1])
+    seen = tracks(BODY, TRUE, rig, 40, 0.3, 0)
+    found = bundle(rig, seen, TRUE, BODY.radius, doubt=usual_doubt(rig), recalibrate=recalibrate)
+    assert np.median(found.excess) < 1.4
+
+
 def test_exact_without_noise() -> None:
     seen = tracks(BODY, TRUE, RIG, 40, 0.0, 0)
     found = refined(RIG, seen)

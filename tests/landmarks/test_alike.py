@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sylpose.landmarks.alignment import Aligned, align
-from sylpose.landmarks.alike import ALIKE, chosen
+from sylpose.landmarks.alike import ALIKE, chosen, doubted
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import ring
@@ -37,37 +37,53 @@ def moved(one: Aligned, off: FloatArray, vote: float) -> Aligned:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_of_two_alike_the_nearer_is_taken_and_knows_of_the_other(right: Aligned, sign: float) -> None:
     other = moved(right, sign * OFF, right.vote - 0.5 * ALIKE)
-    best, information = chosen([other, right], right.rotation, right.shift)
+    best, off = chosen([other, right], right.rotation, right.shift)
     assert best == 1
-    expected = np.linalg.inv(right.information) + np.outer(OFF, OFF)
-    np.testing.assert_allclose(np.linalg.inv(information), expected, rtol=1e-6, atol=1e-9 * expected.max())
-    # Off by the whole difference, it is by one standard deviation.
-    assert OFF @ information @ OFF == pytest.approx(1.0, rel=1e-3)
+    np.testing.assert_allclose(off, sign * OFF, atol=1e-12)
     # Predicted where the other is, that one is taken.
-    assert chosen([other, right], other.rotation, other.shift)[0] == 0
+    best, off = chosen([other, right], other.rotation, other.shift)
+    assert best == 0
+    np.testing.assert_allclose(off[3:], -sign * OFF[3:], atol=1e-12)
+
+
+def test_one_that_knows_little_is_not_nearer_for_it(right: Aligned) -> None:
+    sloppy = replace(moved(right, OFF, right.vote), information=0.01 * right.information)
+    ahead = moved(right, 0.3 * OFF, 0.0)
+    for found in ([sloppy, right], [right, sloppy]):
+        assert found[chosen(found, ahead.rotation, ahead.shift)[0]] is right
 
 
 def test_one_that_explains_more_is_taken_wherever_it_is_and_not_doubted(right: Aligned) -> None:
     worse = moved(right, OFF, right.vote + 1.5 * ALIKE)
-    best, information = chosen([worse, right], worse.rotation, worse.shift)
+    best, off = chosen([worse, right], worse.rotation, worse.shift)
     assert best == 1
-    np.testing.assert_allclose(information, right.information, rtol=1e-9)
+    np.testing.assert_array_equal(off, np.zeros(6))
 
 
 def test_one_that_did_not_settle_is_no_rival(right: Aligned) -> None:
     astray = replace(moved(right, OFF, right.vote), converged=False)
-    best, information = chosen([astray, right], astray.rotation, astray.shift)
+    best, off = chosen([astray, right], astray.rotation, astray.shift)
     assert best == 1
-    np.testing.assert_array_equal(information, right.information)
+    np.testing.assert_array_equal(off, np.zeros(6))
     # Where none has settled, the one that explains most is as good as any.
     neither = replace(right, converged=False, vote=right.vote + ALIKE)
-    assert chosen([neither, astray], *IDENTITY)[0] == 1
+    best, off = chosen([neither, astray], *IDENTITY)
+    assert best == 1
+    np.testing.assert_array_equal(off, np.zeros(6))
 
 
 def test_the_doubt_is_of_the_farthest(right: Aligned) -> None:
     found = [right, *(moved(right, share * OFF, right.vote) for share in (0.3, 1.0, -0.6))]
-    information = chosen(found, right.rotation, right.shift)[1]
-    assert OFF @ information @ OFF == pytest.approx(1.0, rel=1e-3)
+    np.testing.assert_allclose(chosen(found, right.rotation, right.shift)[1], OFF, atol=1e-12)
+
+
+def test_doubt_adds_the_square_of_the_difference(right: Aligned) -> None:
+    information = doubted(right.information, OFF)
+    expected = np.linalg.inv(right.information) + np.outer(OFF, OFF)
+    np.testing.assert_allclose(np.linalg.inv(information), expected, rtol=1e-6, atol=1e-9 * expected.max())
+    np.testing.assert_array_equal(doubted(right.information, np.zeros(6)), right.information)
+    # What nothing was known of stays so.
+    np.testing.assert_array_equal(doubted(np.zeros((6, 6)), OFF), np.zeros((6, 6)))
 
 
 def test_the_vote_is_the_cost_at_one_noise(rig: Rig) -> None:

@@ -101,6 +101,43 @@ def errors(smoothed: Smoothed) -> FloatArray:
     return out
 
 
+def hardly_known(frame: Track, degrees: float) -> Track:
+    """Turned by so much about an axis about which that is not known."""
+    axis = np.array([0.0, 1.0, 0.0])
+    there = frame.pose.world_from_object
+    assert there is not None
+    turned = RigidTransform.from_components(
+        there.translation, Rotation.from_rotvec(np.deg2rad(degrees) * axis) * there.rotation
+    )
+    covariance = frame.pose.covariance.copy()
+    covariance[:3, :3] += np.deg2rad(30.0) ** 2 * np.outer(axis, axis)
+    pose = replace(frame.pose, world_from_object=turned, covariance=covariance).judged()
+    assert pose.status is FrameStatus.UNCERTAIN
+    return replace(frame, pose=pose)
+
+
+def test_smoothing_may_know_how_a_frame_is_turned_that_tracking_did_not() -> None:
+    frames = [hardly_known(f, 8.0) if 8 <= k < 16 else f for k, f in enumerate(tracked())]
+    found = smooth(frames, RIG)
+    assert all(p.status is FrameStatus.TRACKED for p in found.poses[1:])
+    assert np.rad2deg(np.abs(errors(found)[:, :3])).max() < 0.2
+
+
+def test_an_uncertain_frame_that_ties_nothing_keeps_its_pose_and_its_doubt() -> None:
+    # On a curve through its neighbours it would be as sure as they are.
+    blind = (Sightings(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3))),) * len(RIG)
+    frames = [replace(hardly_known(f, 8.0), sightings=blind) if 8 <= k < 16 else f for k, f in enumerate(tracked())]
+    found = smooth(frames, RIG)
+    for k in range(8, 16):
+        assert found.poses[k].status is FrameStatus.UNCERTAIN
+        np.testing.assert_array_equal(found.poses[k].covariance, frames[k].pose.covariance)
+        now, before = found.poses[k].world_from_object, frames[k].pose.world_from_object
+        assert now is not None
+        assert before is not None
+        np.testing.assert_allclose(now.as_matrix(), before.as_matrix())
+    assert found.poses[20].status is FrameStatus.TRACKED
+
+
 def test_exact_without_noise() -> None:
     frames = tracked(noise_px=0.0)
     found = smooth(frames, RIG)

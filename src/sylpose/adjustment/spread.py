@@ -67,8 +67,8 @@ def excess_variance(
         by_pose, by_shared = np.zeros((frames, len(names), 6)), np.zeros((len(names), *views.shared.shape))
         shares = np.zeros((frames, len(names), 6, 6))
         scores(seen, views, points, weights, pull, group, by_pose, by_shared, shares)
-        ratio = _ratio(by_pose, by_shared, shares, system, solver, covariance)
-        excess += np.maximum(median_filter(ratio, AMONG, mode="nearest") / shown - 1.0, 0.0)
+        ratio = _ratio(by_pose, by_shared, shares, system, solver, covariance, shown)
+        excess += np.maximum(median_filter(ratio, AMONG, mode="nearest") - 1.0, 0.0)
     return 1.0 + excess
 
 
@@ -79,8 +79,9 @@ def _ratio(
     system: System,
     solver: Solver,
     covariance: FloatArray,
+    shown: float,
 ) -> FloatArray:
-    """(F,) scatter of the groups' parts, relative to that of independent noise; the first three as `scores` gives them."""
+    """(F,) scatter of the groups' parts, relative to what is shown of independent noise; the first three as of `scores`."""
     frames, groups, _ = by_pose.shape
     right = np.ascontiguousarray(by_pose.transpose(0, 2, 1)).reshape(6 * frames, groups)
     slope = system.shared.flat.T @ by_shared.reshape(groups, -1).T
@@ -89,7 +90,7 @@ def _ratio(
     own = np.linalg.solve(system.frame_blocks()[:, None], shares)
     expected = 6.0 - np.einsum("kgij,kgji->k", own, own)
     ratio = np.ones(frames)
-    np.divide(found, expected, out=ratio, where=expected > LEAST_FREEDOM)
+    np.divide(found, shown * expected, out=ratio, where=expected > LEAST_FREEDOM)
     return ratio
 
 

@@ -47,11 +47,11 @@ def what_moves(session: Session, looked_at: int = LOOKED_AT) -> Follows:
         for frames in islice(session.frames(), looked_at):
             first = frames if first is None else first
             decided += tracker.step(frames)
-            if any(f.pose.measured for f in decided[1:]):
+            if any(f.pose.seen for f in decided[1:]):
                 break
         else:
             decided += tracker.flush()
-    solved = [f for f in decided if f.pose.measured]
+    solved = [f for f in decided if f.pose.seen]
     if len(solved) < 2:
         statuses = [f.pose.status for f in decided]
         why = statuses[-1].text if statuses else FrameStatus.TOO_FEW_MATCHES.text

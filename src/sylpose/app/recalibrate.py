@@ -31,7 +31,7 @@ SETTLING = 5
 
 
 def moved_cameras(trajectory: Trajectory, nudges: Sequence[Nudge]) -> list[Moved]:
-    """Cameras that disagree with the others from some frame on, each once, and not all of them.
+    """Cameras that disagree with the others from some frame on, each once, and with those nudged not all of them.
 
     Without those that were nudged: as they are shifted with it, they may disagree, too.
     """
@@ -40,7 +40,7 @@ def moved_cameras(trajectory: Trajectory, nudges: Sequence[Nudge]) -> list[Moved
     for one in disagreements(trajectory):
         if place[one.first] >= SETTLING and one.camera not in known:
             found.setdefault(names.index(one.camera), one.first)
-    return [Moved(*one) for one in found.items()] if len(found) < len(names) - 1 else []
+    return [Moved(*one) for one in found.items()] if len(found) + len(known) < len(names) - 1 else []
 
 
 def changes(correction: Correction, rig: Rig, moved: Sequence[Moved]) -> list[str]:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from sylpose.landmarks.alignment import Aligned
 from sylpose.numerics.arrays import FloatArray
 
-__all__ = ["chosen"]
+__all__ = ["chosen", "doubted"]
 
 # Poses whose mean robust costs differ by less explain the matches alike (choice).
 ALIKE = 0.01
@@ -24,17 +24,21 @@ def chosen(found: Sequence[Aligned], rotation: FloatArray, shift: FloatArray) ->
         rotation: (3, 3) and shift: (3,), where the object is predicted to be.
 
     Returns:
-        its index; (6, 6) what is known of it: its own information, less by what the farthest of those alike differs.
+        its index; (6,) (w, d) from it to the farthest of those alike: what is not known of it beside its own covariance.
     """
     least = min(range(len(found)), key=lambda k: found[k].vote)
     alike = [k for k, one in enumerate(found) if one.vote < found[least].vote + ALIKE and one.converged]
-    best = min(alike, key=lambda k: _distance(found[k], rotation, shift), default=least)
-    one = found[best]
-    offs = [np.zeros(6), *(_off(one, found[k].rotation, found[k].shift) for k in alike)]
-    off = max(offs, key=lambda x: float(x @ one.information @ x))
-    told = one.information @ off
-    # The covariance and off off', inverted.
-    return best, one.information - np.outer(told, told) / (1.0 + off @ told)
+    # Distances by what one of them knows, the same for all: a sloppy one is not nearer for it.
+    scale = found[least].information
+    best = min(alike, key=lambda k: _square(_off(found[k], rotation, shift), scale), default=least)
+    offs = [_off(found[best], found[k].rotation, found[k].shift) for k in alike]
+    return best, max(offs, key=lambda off: _square(off, scale), default=np.zeros(6))
+
+
+def doubted(information: FloatArray, off: FloatArray) -> FloatArray:
+    """(6, 6) information, of (w, d), less by a difference (6,) that may be: the covariance and off off', inverted."""
+    told = information @ off
+    return np.asarray(information - np.outer(told, told) / (1.0 + off @ told))
 
 
 def _off(one: Aligned, rotation: FloatArray, shift: FloatArray) -> FloatArray:
@@ -43,7 +47,5 @@ def _off(one: Aligned, rotation: FloatArray, shift: FloatArray) -> FloatArray:
     return np.concatenate([turn, shift - one.shift])
 
 
-def _distance(one: Aligned, rotation: FloatArray, shift: FloatArray) -> float:
-    """Squared, by what the alignment knows."""
-    off = _off(one, rotation, shift)
-    return float(off @ one.information @ off)
+def _square(off: FloatArray, information: FloatArray) -> float:
+    return float(off @ information @ off)

@@ -119,7 +119,7 @@ def smooth(
         raise ValueError("moved: cameras that were moved need a doubt, of where they were at first")
     nothing = np.zeros(len(rig))
     # A frame that taught nothing (before the object was seen to move) would only bend the way between its neighbours.
-    used = [k for k, f in enumerate(frames) if f.pose.measured and any(len(seen.landmark) for seen in f.sightings)]
+    used = [k for k, f in enumerate(frames) if f.pose.seen and any(len(seen.landmark) for seen in f.sightings)]
     poses = [frame.pose for frame in frames]
     if len(used) < 2:
         return Smoothed(tuple(poses), Status.TOO_FEW_MATCHES, nothing, nothing, np.full(len(rig), np.nan), 0)
@@ -127,7 +127,9 @@ def smooth(
     late, wider, camera = np.array([frames[k].late for k in used]), rig, seen.camera
     moves: tuple[Moved, ...] = ()
     if doubt is not None:
-        moves = tuple(sorted([*_nudged(frames[used[-1]], rig), *moved], key=lambda m: m.frame))
+        nudged = _nudged(frames[used[-1]], rig)
+        told = {(m.camera, m.frame): m for m in (*moved, *nudged)}
+        moves = tuple(sorted(told.values(), key=lambda m: m.frame))
         wider, doubt = with_moved(rig, doubt, moves)
         index = np.array([frames[k].pose.index for k in used])[seen.frame]
         for i, m in enumerate(moves):
@@ -232,14 +234,15 @@ def _per_camera(bundled: Bundled, seen: Observations, n: int, cameras: int) -> t
 
 def _with_gaps_filled(poses: Sequence[FramePose], before: Sequence[FramePose], refined: BoolArray) -> list[FramePose]:
     """Coasting poses between two refined ones, with none lost between, go along a curve through what was measured around
-    them; others keep their place relative to the last measured pose, before -> now."""
+    them; others keep their place relative to the last frame in which the object was seen, before -> now."""
     out = list(poses)
-    measured = [k for k, pose in enumerate(before) if pose.measured]
-    for i, k in enumerate(measured):
-        end = measured[i + 1] if i + 1 < len(measured) else len(before)
+    known = refined & np.array([pose.measured for pose in poses])
+    seen = [k for k, pose in enumerate(before) if pose.seen]
+    for i, k in enumerate(seen):
+        end = seen[i + 1] if i + 1 < len(seen) else len(before)
         gap = [g for g in range(k + 1, end) if before[g].world_from_object is not None]
-        if end < len(before) and refined[k] and refined[end] and 0 < len(gap) == end - k - 1:
-            around = [m for m in measured[max(0, i + 1 - AROUND) : i + 1 + AROUND] if refined[m]]
+        if end < len(before) and known[k] and known[end] and 0 < len(gap) == end - k - 1:
+            around = [m for m in seen[max(0, i + 1 - AROUND) : i + 1 + AROUND] if known[m]]
             for g, pose in zip(gap, _between([poses[m] for m in around], [before[g].time for g in gap]), strict=True):
                 near, far = (k, g - k) if g - k <= end - g else (end, end - g)
                 # As uncertain as the nearer end, and what as many frames of coasting made of it.

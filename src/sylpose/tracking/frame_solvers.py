@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from sylpose.landmarks.alignment import Sights
-from sylpose.landmarks.alike import chosen
+from sylpose.landmarks.alike import chosen, doubted
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.known_depth import solve_2d3d
 from sylpose.results import Status
@@ -194,8 +194,8 @@ def solve_landmarks(crew: Crew, problem: Problem) -> Solution:
     return _aligned(crew, problem)[0]
 
 
-def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights]]:
-    """`solve_landmarks`; by camera, each its own, the sights that it used."""
+def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights], FloatArray]:
+    """`solve_landmarks`; by camera, each its own, the sights that it used; (6,) (w, d) by what it may be off (`chosen`)."""
     frames, pairs, cameras = problem.frames, problem.pairs, problem.rig.cameras
     seen = crew.each(lambda c: sights_of(cameras[c], pairs[c], frames[c], problem.base))
     ages = crew.ask(lambda c: ages_of(*seen[c], pairs[c]))
@@ -208,7 +208,7 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights]]:
     of_still = STILL_TRUST if others_move else 1.0
     sights = crew.each(lambda c: with_trust(*seen[c], usual, of_still))
     if len(all_ages) < MIN_MATCHES:
-        return _nothing(crew, problem, Status.TOO_FEW_MATCHES), sights
+        return _nothing(crew, problem, Status.TOO_FEW_MATCHES), sights, np.zeros(6)
     pose, found = crew.align(sights, *problem.guess)
     # While all depths are guesses, a turn the other way with the depths reversed explains nearly as much (the mirrored
     # solution of few cameras and small turns); epipolar geometry is asked for its opinion.
@@ -220,14 +220,16 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights]]:
         other = fit_terms(data, problem.center, problem.radius, [problem.guess], problem.rng())
         starts += [(other.rotation, other.shift, px) for px in OTHER_START_PX if other.status is Status.OK]
     found_all = [(pose, found), *(crew.align(sights, R, shift, first_px=px) for R, shift, px in starts)]
-    best, information = chosen([one for one, _ in found_all], *problem.guess)
+    best, off = chosen([one for one, _ in found_all], *problem.guess)
     pose, found = found_all[best]
     chances = crew.ask(lambda c: chance_of(sights[c], *found[c], pose.rotation, pose.shift, frames[c]))
     status = Status.OK if pose.converged else Status.NOT_CONVERGED
     if sum(chance.matches for chance in chances) < MIN_MATCHES or (status.has_pose and _by_chance(chances)):
-        return _nothing(crew, problem, Status.NOT_CONSISTENT), sights
+        return _nothing(crew, problem, Status.NOT_CONSISTENT), sights, off
     agreement = crew.each(lambda c: cut(*found[c], pairs[c]))
-    return Solution(status, pose.rotation, pose.shift, information, pose.iterations, agreement, pose.doubt), sights
+    information = doubted(pose.information, off)
+    solution = Solution(status, pose.rotation, pose.shift, information, pose.iterations, agreement, pose.doubt)
+    return solution, sights, off
 
 
 def _depth_sd(ages: Sequence[Ages]) -> float:
@@ -265,7 +267,7 @@ def solve_known_depth(crew: Crew, problem: Problem) -> Solution:
     The equation is of orthographic views: each image point is scaled by its landmark's depth, as the motion so far has it,
     and the two are found in turns (POSIT: D. DeMenthon, L. Davis, 1995).
     """
-    solution, sights = _aligned(crew, problem)
+    solution, sights, off = _aligned(crew, problem)
     if solution.status is not Status.OK:
         return solution
 
@@ -295,7 +297,7 @@ def solve_known_depth(crew: Crew, problem: Problem) -> Solution:
     # From the displacement of the points' mean to that of the object's centre, here the origin.
     about = np.eye(6)
     about[3:, :3] = -np.cross(np.eye(3), R @ s.center)
-    information = about.T @ block_diag(s.information, s.displacement_information) @ about
+    information = doubted(about.T @ block_diag(s.information, s.displacement_information) @ about, off)
     return replace(solution, rotation=R, shift=shift, information=information, iterations=solution.iterations + rounds)
 
 

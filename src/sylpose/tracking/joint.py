@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import covariance_of
+from sylpose.results import UNCERTAIN_TURN
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.keyframes import with_keyframe
@@ -24,7 +25,7 @@ __all__ = ["MIN_MOVED", "Joint", "Nudge", "covariance_with_references"]
 
 # An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
 # (object's radii) is less certain than this (choice).
-MAX_COASTING, COASTING_TURN, COASTING_SHIFT = 15, 0.35, 1.0
+MAX_COASTING, COASTING_TURN, COASTING_SHIFT = 15, UNCERTAIN_TURN, 1.0
 # Frames besides the keyframes that are refined with them (choice).
 RECENT = 8
 # A pose is the object's, and not the background's, when so many of the features that agree with it have moved with it, and

@@ -329,7 +329,7 @@ def _begun(
     joint, tracked = accept_first(team, joint, first_frames, frame, around, found.middle, regions)
     decided, begin, ends = [tracked], joint.base, others.pop()
     joint, tracked = _solved_later(team, joint, ends, now)
-    if not (joint.proven and tracked.pose.measured):
+    if not (joint.proven and tracked.pose.seen):
         # What moved was no rigid body, or not for long: wait for another motion.
         crew.each(lambda c: parts[c].forget())
         return None
