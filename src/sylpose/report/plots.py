@@ -74,8 +74,8 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     """Draws pan, tilt, roll and the total turn, the position since the start, inliers and residuals per camera over time.
 
     Bands are two standard deviations either way, to first order in the covariance. Poses that are carried on only
-    (coasting) or hardly known (uncertain) are dotted and pale; these frames and those without a pose are shaded. While a camera disagrees with the
-    others, the cameras' panels are shaded in its colour, and the title says so.
+    (coasting) or hardly known (uncertain) are dotted and pale; these frames and those without a pose are shaded. While
+    a camera disagrees with the others, the cameras' panels are shaded in its colour, and the title says so.
 
     Args:
         trajectory: of at least one frame.
