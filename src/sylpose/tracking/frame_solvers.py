@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from sylpose.landmarks.alignment import Sights
+from sylpose.landmarks.alignment import FIRST_PX, Sights
 from sylpose.landmarks.alike import chosen, doubted
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.known_depth import solve_2d3d
@@ -26,6 +26,7 @@ from sylpose.tracking.sights import (
     cut,
     sights_of,
     smear,
+    support_of,
     usual_age,
     with_trust,
 )
@@ -47,8 +48,8 @@ POOR_COST = 0.6
 OTHER_START_PX = (4.0, 1.0)
 # The forgiving first rounds may slide into another minimum, from the true pose, too: 32 degrees off after a jump, where most
 # depths are guesses (measured: benchmarks/kinds.py, jumps-25), or in one camera that sees a board from its side (stands-fast
-# 31). So less forgiving ones are tried as well, with these noises, pixels: the last one always, all of them after a turn
-# by more than this since the last solved frame, radians (choice).
+# 31). So less forgiving ones are tried as well, with these noises, pixels: the last one where depths are known, all of them
+# after a turn by more than this since the last solved frame, radians (choice).
 JUMP, NARROW_PX = np.radians(8.0), (8.0, 2.0)
 # So large a share of inliers is not had by chance (choice).
 CERTAIN_SHARE = 0.8
@@ -209,19 +210,27 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights], Floa
     sights = crew.each(lambda c: with_trust(*seen[c], usual, of_still))
     if len(all_ages) < MIN_MATCHES:
         return _nothing(crew, problem, Status.TOO_FEW_MATCHES), sights, np.zeros(6)
-    pose, found = crew.align(sights, *problem.guess)
+    guessed = max(a.oldest for a in ages) <= YOUNG or _depth_sd(ages) > GUESSED * problem.radius
+    # Where depths are guesses, so is what explains them, and the prediction.
+    first = (FIRST_PX,) if guessed else (FIRST_PX, NARROW_PX[-1])
+    ways = [crew.align(sights, *problem.guess, first_px=px) for px in first]
+    best, off = chosen([way for way, _ in ways], *problem.guess)
+    pose, found = ways[best]
     # While all depths are guesses, a turn the other way with the depths reversed explains nearly as much (the mirrored
     # solution of few cameras and small turns); epipolar geometry is asked for its opinion.
     jumps = max(_angle(problem.guess[0]), _angle(pose.rotation)) > JUMP
-    guessed = max(a.oldest for a in ages) <= YOUNG or _depth_sd(ages) > GUESSED * problem.radius
-    starts = [(*problem.guess, px) for px in (NARROW_PX if jumps else NARROW_PX[-1:])]
     if guessed or pose.cost > POOR_COST or jumps:
         data = gathered(_terms(crew, problem))
         other = fit_terms(data, problem.center, problem.radius, [problem.guess], problem.rng())
-        starts += [(other.rotation, other.shift, px) for px in OTHER_START_PX if other.status is Status.OK]
-    found_all = [(pose, found), *(crew.align(sights, R, shift, first_px=px) for R, shift, px in starts)]
-    best, off = chosen([one for one, _ in found_all], *problem.guess)
-    pose, found = found_all[best]
+        starts = [(other.rotation, other.shift, px) for px in OTHER_START_PX if other.status is Status.OK]
+        starts += [(*problem.guess, px) for px in NARROW_PX] if jumps else []
+        # By epipolar distances alone: what is guessed of depths has no say in whether it is right.
+        support = _support(crew, sights, found)
+        for rotation, shift, first_px in starts:
+            again, found_again = crew.align(sights, rotation, shift, first_px=first_px)
+            more = _support(crew, sights, found_again)
+            if more > support:
+                pose, found, support, off = again, found_again, more, np.zeros(6)
     chances = crew.ask(lambda c: chance_of(sights[c], *found[c], pose.rotation, pose.shift, frames[c]))
     status = Status.OK if pose.converged else Status.NOT_CONVERGED
     if sum(chance.matches for chance in chances) < MIN_MATCHES or (status.has_pose and _by_chance(chances)):
@@ -230,6 +239,11 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights], Floa
     information = doubted(pose.information, off)
     solution = Solution(status, pose.rotation, pose.shift, information, pose.iterations, agreement, pose.doubt)
     return solution, sights, off
+
+
+def _support(crew: Crew, sights: Sequence[Sights], found: Sequence[tuple[FloatArray, FloatArray]]) -> float:
+    """`support_of` all cameras."""
+    return sum(crew.ask(lambda c: support_of(sights[c], *found[c])))
 
 
 def _depth_sd(ages: Sequence[Ages]) -> float:

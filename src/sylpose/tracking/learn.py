@@ -173,8 +173,10 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         Observable.NO_SCALE if len(team.rig) == 1 else observable,
         doubt,
         solution.faults,
-    ).judged()
+    )
     matches, seen_now = crew.each(lambda c: learnt[c][0]), crew.each(lambda c: learnt[c][1])
+    if team.refines:  # the paper's estimators are there to be compared: how they drift is to be seen
+        result = result.judged()
     return replace(after, last=last), TrackedFrame(
         result, frames, tuple(matches), tuple(found.regions), model.radius, tuple(seen_now), frame.late
     )

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from sylpose.landmarks.alignment import Sights
-from sylpose.landmarks.camera_terms import CUTOFF
+from sylpose.landmarks.camera_terms import CUTOFF, VOTE_PX
 from sylpose.landmarks.places import Landmarks
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.rig import Camera
 from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, away
 from sylpose.tracking.records import Ages, Chance
 
-__all__ = ["STILL_TRUST", "ages_of", "chance_of", "cut", "sights_of", "smear", "usual_age", "with_trust"]
+__all__ = ["STILL_TRUST", "ages_of", "chance_of", "cut", "sights_of", "smear", "support_of", "usual_age", "with_trust"]
 
 # Weight of a landmark that stands still and never moved, while others move: boxes may hold ten times as much wall as object
 # (choice).
@@ -116,6 +116,13 @@ def chance_of(
         int(np.count_nonzero(np.bincount(features))) for features in (sights.feature[good], sights.feature[trusted])
     )
     return Chance(matches, inliers, tried, by_chance, 3)
+
+
+def support_of(sights: Sights, weights: FloatArray, residuals: FloatArray) -> float:
+    """How much of a camera's matches a pose explains, by trust and epipolar distances, at a noise that is the same for all
+    poses: comparable between poses of the same sights, whatever noise each was fitted with."""
+    near = np.maximum(1.0 - (residuals / (CUTOFF * VOTE_PX)) ** 2, 0.0) ** 2
+    return float((sights.trust * np.where(weights > 0, near, 0.0)).sum())
 
 
 def smear(sights: Sights, rotation: FloatArray, shift: FloatArray) -> FloatArray:
