@@ -53,6 +53,14 @@ def test_one_that_knows_little_is_not_nearer_for_it(right: Aligned) -> None:
         assert found[chosen(found, ahead.rotation, ahead.shift)[0]] is right
 
 
+def test_of_the_same_pose_the_first_is_taken(right: Aligned) -> None:
+    sd = 0.2 * OFF / np.sqrt(OFF @ right.information @ OFF)
+    same = moved(right, sd, right.vote - 0.1 * ALIKE)
+    best, off = chosen([right, same], same.rotation, same.shift)
+    assert best == 0
+    np.testing.assert_array_equal(off, np.zeros(6))
+
+
 def test_one_that_explains_more_is_taken_wherever_it_is_and_not_doubted(right: Aligned) -> None:
     worse = moved(right, OFF, right.vote + 1.5 * ALIKE)
     best, off = chosen([worse, right], worse.rotation, worse.shift)

@@ -14,10 +14,12 @@ __all__ = ["chosen", "doubted"]
 
 # Poses whose mean robust costs differ by less explain the matches alike (choice).
 ALIKE = 0.01
+# Poses less than this apart are the same one, in standard deviations, squared: the first is as good as any (choice).
+SAME = 1.0
 
 
 def chosen(found: Sequence[Aligned], rotation: FloatArray, shift: FloatArray) -> tuple[int, FloatArray]:
-    """Which one explains the sights best; of those that explain them alike, the one nearest to a prediction.
+    """Which one explains the sights best; of different ones that explain them alike, the one nearest to a prediction.
 
     Args:
         found: of the same sights, from different starts.
@@ -30,9 +32,14 @@ def chosen(found: Sequence[Aligned], rotation: FloatArray, shift: FloatArray) ->
     alike = [k for k, one in enumerate(found) if one.vote < found[least].vote + ALIKE and one.converged]
     # Distances by what one of them knows, the same for all: a sloppy one is not nearer for it.
     scale = found[least].information
-    best = min(alike, key=lambda k: _square(_off(found[k], rotation, shift), scale), default=least)
+    best = alike[0] if alike else least
+    for k in alike:
+        apart = _square(_off(found[best], found[k].rotation, found[k].shift), scale)
+        nearer = _square(_off(found[k], rotation, shift), scale) < _square(_off(found[best], rotation, shift), scale)
+        best = k if nearer and apart > SAME else best
     offs = [_off(found[best], found[k].rotation, found[k].shift) for k in alike]
-    return best, max(offs, key=lambda off: _square(off, scale), default=np.zeros(6))
+    off = max(offs, key=lambda off: _square(off, scale), default=np.zeros(6))
+    return best, off if _square(off, scale) > SAME else np.zeros(6)
 
 
 def doubted(information: FloatArray, off: FloatArray) -> FloatArray:
