@@ -29,11 +29,9 @@ from typing import Protocol
 import numpy as np
 
 from sylpose.landmarks.camera_terms import (
-    VOTE_PX,
     Own,
     Stacked,
     camera_terms,
-    cost_of,
     judge,
     noise_of,
     own_of,
@@ -97,7 +95,7 @@ class Aligned:
         rotation: (3, 3); shift: (3,).
         information: (6, 6) of (w, d).
         cost: robust, mean over the matches by trust, between 0 and 1; vote: the same at one noise (`VOTE_PX`), whatever was
-            fitted: poses of the same sights are compared by it.
+            fitted: poses of the same sights are compared by it; votes: (C,) the same of each camera's matches.
         converged: whether the last step was negligible and three matches at least agree.
         iterations: of Gauss-Newton.
         sigma_px: (C,) each camera's noise.
@@ -114,6 +112,7 @@ class Aligned:
     information: FloatArray
     cost: float
     vote: float
+    votes: FloatArray
     converged: bool
     iterations: int
     sigma_px: FloatArray
@@ -151,9 +150,6 @@ class _Cameras(Protocol):
         """Gauss-Newton from one start, with the noise (S,) that the first rounds assume, pixels, the doubt (C,) there is,
         and without a camera."""
 
-    def costs(self, found: Aligned) -> FloatArray:
-        """(C,) each camera's mean robust cost of a pose at `VOTE_PX`."""
-
 
 def _agreed(cameras: _Cameras, rotation: FloatArray, shift: FloatArray, first_px: float) -> Aligned:
     """The pose of all cameras; should they disagree, the one that all but one agree on best."""
@@ -170,7 +166,7 @@ def _agreed(cameras: _Cameras, rotation: FloatArray, shift: FloatArray, first_px
         doubt = np.where(np.arange(len(no_doubt)) == c, LEFT_OUT, 1.0)
         candidates.append(cameras.solve(SCHEDULE_PX[-1:], without.rotation, without.shift, doubt))
     # One vote each, however many matches they have; the worst does not count.
-    costs = [float(np.mean(np.sort(cameras.costs(candidate)[voters])[:-1])) for candidate in candidates]
+    costs = [float(np.mean(np.sort(candidate.votes[voters])[:-1])) for candidate in candidates]
     costs[0] -= VOTE_MARGIN
     return candidates[int(np.argmin(costs))]
 
@@ -193,8 +189,8 @@ def _aligned(
     rounds: int,
     settled: bool,
     cost: float,
-    vote: float,
-    trust: float,
+    votes: FloatArray,
+    trust: FloatArray,
     inliers: IntArray,
     stacked: Stacked,
     own: Own,
@@ -204,8 +200,9 @@ def _aligned(
         at.rotation,
         at.shift,
         at.information,
-        cost / max(trust, 1e-12),
-        vote / max(trust, 1e-12),
+        cost / max(float(trust.sum()), 1e-12),
+        float(votes.sum()) / max(float(trust.sum()), 1e-12),
+        votes / np.maximum(trust, 1e-12),
         settled and int(inliers.sum()) >= MIN_VOTES,
         rounds,
         at.sigma_px,
@@ -235,25 +232,19 @@ class _Here:
     ) -> Aligned:
         """See `_Cameras`."""
         own, at = own_of(self.stacked), first_round(rotation, shift, doubt, schedule[0])
-        inliers = np.zeros(len(doubt), np.int64)
-        rounds, settled, cost, vote = _rounds(self.stacked, np.array(schedule, float), left_out, at, own, inliers)
-        return _aligned(at, rounds, settled, cost, vote, float(_trusts(self.stacked).sum()), inliers, self.stacked, own)
-
-    def costs(self, found: Aligned) -> FloatArray:
-        """See `_Cameras`."""
-        own, pose = own_of(self.stacked), (found.rotation, found.shift)
-        sums = [cost_of(self.stacked, c, *pose, found.surface[c], VOTE_PX, own) for c in range(len(found.doubt))]
-        return np.asarray(np.array(sums) / np.maximum(_trusts(self.stacked), 1e-12))
+        inliers, votes = np.zeros(len(doubt), np.int64), np.empty(len(doubt))
+        rounds, settled, cost = _rounds(self.stacked, np.array(schedule, float), left_out, at, own, inliers, votes)
+        return _aligned(at, rounds, settled, cost, votes, _trusts(self.stacked), inliers, self.stacked, own)
 
 
 @kernel
 def _rounds(
-    stacked: Stacked, schedule: FloatArray, left_out: int, at: Round, own: Own, inliers: IntArray
-) -> tuple[int, bool, float, float]:
-    """Rounds until they settle, in place; inliers: (C,), filled.
+    stacked: Stacked, schedule: FloatArray, left_out: int, at: Round, own: Own, inliers: IntArray, votes: FloatArray
+) -> tuple[int, bool, float]:
+    """Rounds until they settle, in place; inliers and votes: (C,), filled.
 
     Returns:
-        their number; whether they settled; the sum of all costs, and of all votes.
+        their number; whether they settled; the sum of all costs.
     """
     n = len(inliers)
     reduced, mass, level = np.empty((n, 6, 7)), np.empty(n), np.empty(n)
@@ -269,13 +260,11 @@ def _rounds(
         last = settled or count == MAX_ROUNDS
         for c in range(n):
             take_step(c, at.step, own)
-    cost, vote = 0.0, 0.0
+    cost = 0.0
     for c in range(n):
-        part, own_vote, agree = judge(stacked, c, at.rotation, at.shift, _level(at, c), c != left_out, own)
+        part, votes[c], inliers[c] = judge(stacked, c, at.rotation, at.shift, _level(at, c), c != left_out, own)
         cost += part
-        vote += own_vote
-        inliers[c] = agree
-    return min(count, MAX_ROUNDS), settled, cost, vote
+    return min(count, MAX_ROUNDS), settled, cost
 
 
 # --- one camera among others ------------------------------------------------------------------------------------------
@@ -349,16 +338,9 @@ class OneOfMany:
         cost, vote, inliers = judge(stacked, 0, at.rotation, at.shift, _level(at, me), heard, own)
         told = self._exchange(replace(self._says, cost=cost, vote=vote, inliers=int(inliers)))
         agree = np.array([t.inliers for t in told], np.int64)
-        costs, votes = sum((t.cost for t in told), 0.0), sum((t.vote for t in told), 0.0)
+        costs, votes = sum((t.cost for t in told), 0.0), np.array([t.vote for t in told])
         rounds = min(count, MAX_ROUNDS)
-        return _aligned(at, rounds, settled, costs, votes, float(self._trust.sum()), agree, stacked, own)
-
-    def costs(self, found: Aligned) -> FloatArray:
-        """See `_Cameras`."""
-        pose = found.rotation, found.shift
-        cost = cost_of(self._stacked, 0, *pose, found.surface[0], VOTE_PX, own_of(self._stacked))
-        told = self._exchange(replace(self._says, cost=cost))
-        return np.asarray(np.array([t.cost for t in told]) / np.maximum(self._trust, 1e-12))
+        return _aligned(at, rounds, settled, costs, votes, self._trust, agree, stacked, own)
 
 
 # --- arrays -----------------------------------------------------------------------------------------------------------

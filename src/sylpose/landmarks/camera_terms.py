@@ -20,7 +20,6 @@ __all__ = [
     "Own",
     "Stacked",
     "camera_terms",
-    "cost_of",
     "judge",
     "linearise",
     "noise_of",

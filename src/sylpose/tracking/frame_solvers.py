@@ -223,11 +223,11 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights], Floa
         data = gathered(_terms(crew, problem))
         other = fit_terms(data, problem.center, problem.radius, [problem.guess], problem.rng())
         starts = [(other.rotation, other.shift, px) for px in OTHER_START_PX if other.status is Status.OK]
-        starts += [(*problem.guess, px) for px in NARROW_PX] if jumps else []
+        starts += [(*problem.guess, px) for px in NARROW_PX if px not in first] if jumps else []
+        tried = [crew.align(sights, R, shift, first_px=px) for R, shift, px in starts] + (ways[1:] if jumps else [])
         # By epipolar distances alone: what is guessed of depths has no say in whether it is right.
         support = _support(crew, sights, found)
-        for rotation, shift, first_px in starts:
-            again, found_again = crew.align(sights, rotation, shift, first_px=first_px)
+        for again, found_again in tried:
             more = _support(crew, sights, found_again)
             if more > support:
                 pose, found, support, off = again, found_again, more, np.zeros(6)
