@@ -112,6 +112,9 @@ SETTINGS = {
         for px in (1, 2, 4)
     },
     "static 60 %, moves 2 px, 300 matches": Setting(_zigzag(4), outliers=0.6, kind="static", moves_px=2, matches=300),
+    **{f"before nothing, moves {px} px": Setting(_zigzag(4), moves_px=px) for px in (1, 2, 4)},
+    "before nothing, moves 1 px, 3 cameras 20 apart": Setting(arc(3, 20), moves_px=1),
+    **{f"stands still, {n} matches": Setting(_zigzag(4), turn=0.0, shift=0.0, matches=n) for n in (20, 60, 300)},
     **{
         f"slide{where}, turn {turn}": Setting(rig, turn=turn, shift=0.03)
         for where, rig in (("", _zigzag(4)), (" 3 cameras 20 apart", arc(3, 20)))

@@ -224,9 +224,9 @@ def _only_junk(data: Sequence[TermData], fit: Fit, solve: Solve) -> bool:
 
 
 def _rejected(data: Sequence[TermData], fit: Fit) -> BoolArray:
-    """(T,) cameras hardly any of whose matches are inliers."""
+    """(T,) cameras hardly any of whose matches are inliers; none where a background was told from what moves."""
     inliers, matches = (np.array(n) for n in ([np.count_nonzero(w) for w in fit.weights], [len(t) for t in data]))
-    return np.asarray((matches >= ENOUGH) & (inliers <= REJECTED * matches))
+    return np.asarray((fit.standing == 0.0) & (matches >= ENOUGH) & (inliers <= REJECTED * matches))
 
 
 def _worst(

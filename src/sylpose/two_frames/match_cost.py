@@ -81,6 +81,9 @@ class Equations(NamedTuple):
         noise: (6, 6) the part of J'WJ in (w, d) that is there because J is taken at noisy points: it tells nothing, but a
             small motion, or a rod that is seen to turn about itself, would be thought known by it. (0, 0) where it is not
             wanted.
+        missing: (12, 12) the part of J'WJ that is there because matches which may be another's are taken to be the motion's,
+            each with its probability p: p (1 - p) times the square of what it says of (w, d, α). (0, 0) where it is not
+            wanted.
     """
 
     matrix: FloatArray
@@ -88,6 +91,7 @@ class Equations(NamedTuple):
     stretch: FloatArray
     squares: FloatArray
     noise: FloatArray
+    missing: FloatArray
 
 
 @kernel
@@ -97,11 +101,16 @@ def no_matched(n: int) -> Matched:
 
 
 @kernel
-def no_equations(noise: bool) -> Equations:
-    """To be filled, with the part of noise or without."""
-    unknowns, size = 6 + SURFACE, 6 if noise else 0
+def no_equations(noise: bool, missing: bool) -> Equations:
+    """To be filled, with the parts of noise and of what is missing or without."""
+    unknowns, size, lost = 6 + SURFACE, 6 if noise else 0, 6 + SURFACE if missing else 0
     return Equations(
-        np.zeros((unknowns, unknowns)), np.zeros(unknowns), np.zeros(6), np.zeros(1), np.zeros((size, size))
+        np.zeros((unknowns, unknowns)),
+        np.zeros(unknowns),
+        np.zeros(6),
+        np.zeros(1),
+        np.zeros((size, size)),
+        np.zeros((lost, lost)),
     )
 
 
@@ -116,7 +125,7 @@ def matched(
 ) -> tuple[Matched, Equations]:
     """`match_equations` of term t; of `Matched`, its own matches."""
     n = len(stack.x)
-    matches, equations = no_matched(n), no_equations(noise)
+    matches, equations = no_matched(n), no_equations(noise, False)
     some = np.ones(n) if usable is None else usable.astype(np.float64)
     match_equations(stack, t, some, candidate, tolerance, matches, equations)
     mine = slice(stack.offsets[t], stack.offsets[t + 1])
@@ -143,7 +152,7 @@ def match_equations(
     """
     variance, relief, shared_relief, cutoff = tolerance
     distance, across, along, parallax, weights = matches
-    matrix, right, stretch, squares, noise = equations
+    matrix, right, stretch, squares, noise, missing = equations
     surface = candidate.surface[t]
     rc, tc, turned = np.empty((3, 3)), np.empty(3), np.empty(3)
     view_of(stack, t, candidate, rc, tc, turned)
@@ -154,7 +163,8 @@ def match_equations(
     stretch[:] = 0.0
     squares[:] = 0.0
     noise[:] = 0.0
-    phi, row = np.empty(SURFACE), np.empty(6)
+    missing[:] = 0.0
+    phi, row, said = np.empty(SURFACE), np.empty(6), np.empty(6 + SURFACE)
     phi[0] = 1.0
     for i in range(stack.offsets[t], stack.offsets[t + 1]):
         x0, x1 = stack.x[i, 0], stack.x[i, 1]
@@ -219,6 +229,9 @@ def match_equations(
         squares[0] += w * length * length
         if noise.shape[0] > 0:
             _add_noise(w * variance, 0.0, b0, b1, u, v, z, rc, turned, noise)
+        if missing.shape[0] > 0:
+            for k in range(6):
+                said[k], said[6 + k] = w * row[k] * off, w * length * phi[k] * off
         # Across it: where the match itself puts it, as far as its parallax can be told from noise. Were that depth used
         # along the line as well, the noise in it would be taken for motion.
         if length > 0.0:
@@ -238,6 +251,12 @@ def match_equations(
         if noise.shape[0] > 0:
             told = unit * spare / (variance * noise_b + spare) * np.sqrt(variance * noise_b) / max(length, 1e-300)
             _add_noise(w * variance, w * told * told, -b1, b0, u, v, z, rc, turned, noise)
+        if missing.shape[0] > 0:
+            for k in range(6):
+                said[k] += w * row[k] * off
+            for k in range(6 + SURFACE):
+                for j in range(6 + SURFACE):
+                    missing[k, j] += (1.0 - usable[i]) / usable[i] * said[k] * said[j]
 
 
 @kernel

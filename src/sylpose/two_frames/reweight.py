@@ -147,7 +147,7 @@ def reweight(stack: Stack, usable: Usable, fit: Reweighted) -> tuple[int, float,
     n, n_matches = sigma_px.shape[0], weights.shape[0]
     distance, along, parallax = np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
     matches = Matched(distance, across, along, parallax, weights)
-    searching, ending, gains = no_equations(False), no_equations(True), np.empty((n, SURFACE, 8))
+    searching, ending, gains = no_equations(False, False), no_equations(True, False), np.empty((n, SURFACE, 8))
     total, right, step, prior = np.empty((7, 7)), np.empty(7), np.empty(7), np.empty((SURFACE, SURFACE))
     open_prior, open_total = np.empty((SURFACE, SURFACE)), np.empty((7, 7))
     unused, mass = np.empty(7), np.zeros(n)

@@ -13,10 +13,11 @@ from sylpose.numerics.compiled import kernel
 from sylpose.numerics.matrices import forget, transpose
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
-from sylpose.two_frames.mixtures import alike, is_mixed, parted, some_move
+from sylpose.two_frames.mixtures import alike, is_mixed
 from sylpose.two_frames.reweight import Reweighted, nothing_yet, reweight
 from sylpose.two_frames.rivals import LESS_LIKELY, second_planes, strongest_rival, together
 from sylpose.two_frames.robust_fit import fitted
+from sylpose.two_frames.standing import LIKELIER, parted, some_move
 from sylpose.two_frames.terms import Stack, TermData, copy_into, guesses_of, stack_terms
 from sylpose.two_frames.valley import bend, less_certain, settle_across
 from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
@@ -62,11 +63,13 @@ def fit_terms(
         minima, best = together(minima, again[1]), again[1].costs.min() < minima.costs.min()
         found, promise = (again[0], again[3]) if best else (found, promise)
     part = parted(stack, usable, found, guesses_of(guesses), rng)
-    told, may = 1.0, usable.astype(float)
+    may = usable.astype(float)
     # A mixture that does not settle says nothing against the one motion.
     part = part if part is not None and part.promise < CONVERGED else None
+    if part is not None and not part.gain > LIKELIER:
+        minima, part = together(minima, part.rivals(float(minima.costs.min()))), None
     if part is not None:
-        found, minima, promise, may, told = part.found, part.minima, part.promise, part.moving, part.told
+        found, minima, promise, may = part.found, part.minima, part.promise, part.moving
         iterations += part.iterations
     (rotation, shift, _), _, weights, across, information, without_depth, noise, _, _ = found
     status = Status.OK
@@ -83,13 +86,15 @@ def fit_terms(
         return no_fit(data, status)
     # σ is estimated: the covariance is that of Student's distribution.
     freedom = int((weights > 0).sum()) - 6
-    known = told * max(freedom - 2, 1) / freedom
+    known = max(freedom - 2, 1) / freedom
     bent = bend(stack, may, found, radius)
     both = known * _without_noise(np.stack([information, without_depth]), noise)
+    if part is not None:
+        both = _without(both, known * part.missing)
     information, without_depth = less_certain(both[0], bent), less_certain(both[1], bent)
     other = None
     if stands_still(stack, found, information):
-        if some_move(stack, usable, found):
+        if some_move(stack, usable, found) or strongest_rival(found, minima, information, radius) is not None:
             return no_fit(data, Status.MOSTLY_STILL)
         status, rotation, shift = Status.NO_MOTION, np.eye(3), np.zeros(3)
     elif rod is None:
@@ -105,7 +110,7 @@ def fit_terms(
         status,
         rotation,
         shift,
-        tuple(np.split(weights, stack.offsets[1:-1])),
+        tuple(np.split(weights if part is None else weights * (part.moving > 0.5), stack.offsets[1:-1])),
         tuple(np.split(across, stack.offsets[1:-1])),
         information,
         without_depth,
@@ -150,6 +155,19 @@ def _without_noise(information: FloatArray, noise: FloatArray) -> FloatArray:
     spoilt, axes = np.linalg.eigh(transpose(to_identity) @ noise @ to_identity)
     half = (vectors * root / unit[:, :, None]) @ axes * np.clip(1.0 - spoilt, 1e-3, 1.0)[:, None, :]
     return np.asarray(half @ transpose(half))
+
+
+def _without(information: FloatArray, missing: FloatArray) -> FloatArray:
+    """Informations (k, 6, 6) less what is missing of each (6, 6); a trace always stays."""
+    out = np.empty_like(information)
+    for k, whole in enumerate(information):
+        values, vectors = np.linalg.eigh(whole + 1e-12 * np.trace(whole) * np.eye(6))
+        root = vectors * np.sqrt(values)
+        to_identity = vectors / np.sqrt(values)
+        shares, axes = np.linalg.eigh(to_identity.T @ missing @ to_identity)
+        half = root @ axes * np.sqrt(np.clip(1.0 - shares, 1e-3, 1.0))
+        out[k] = half @ half.T
+    return out
 
 
 @kernel

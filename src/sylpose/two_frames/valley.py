@@ -134,7 +134,7 @@ def settle_across(
     matches = Matched(
         np.empty(n_matches), np.empty(n_matches), np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
     )
-    equations, gains, prior = no_equations(False), np.zeros((n, SURFACE, 8)), np.empty((SURFACE, SURFACE))
+    equations, gains, prior = no_equations(False, False), np.zeros((n, SURFACE, 8)), np.empty((SURFACE, SURFACE))
     total, right, step = np.empty((7, 7)), np.empty(7), np.zeros(7)
     step[:6] = start
     # The surfaces follow in the first step.

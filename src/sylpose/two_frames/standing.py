@@ -1,0 +1,260 @@
+"""What stands still behind an object that moves by little.
+
+Where an object moves by a few pixels, what stands still lies near the epipolar lines of its motion, too. There every match
+is taken to stand still with some probability, and the motion is fitted to those that move (`parted`). Who stands still is
+then not certain, and the information is less by what that takes away: what a match says of the motion, squared, times the
+probabilities that it is the motion's and that it is not.
+
+Source: mixtures by expectation and maximisation, McLachlan & Krishnan, "The EM Algorithm and Extensions", chapters 2 and 4;
+what they do not tell, Louis, Journal of the Royal Statistical Society B 44, 1982, equation 3.1.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.compiled import kernel
+from sylpose.two_frames.fit import MIN_MATCHES
+from sylpose.two_frames.match_cost import Tolerance, match_equations, matched, no_equations, no_matched
+from sylpose.two_frames.reweight import (
+    CUTOFF,
+    GAIN,
+    INDEPENDENT,
+    Reweighted,
+    nothing_yet,
+    reduce_term,
+    reweight,
+    surface_prior,
+)
+from sylpose.two_frames.robust_fit import Settled, fitted
+from sylpose.two_frames.terms import SURFACE, Guesses, Stack, copy_into
+
+__all__ = ["LIKELIER", "Parted", "parted", "some_move"]
+
+# Of what has moved by a little, in units of noise, between these squares, chance has no more than this share and so many
+# (chi-squared of two degrees of freedom: 1 %, and three times it; choice).
+MOVES, NEARBY, MOVE_BY_CHANCE, MOVERS = 9.2, 200.0, 0.03, 6
+# A background is looked for where so large a share of the matches, and so many, may stand still (choice).
+BACKGROUND = 0.08
+# What goes farther does not stand still whatever the noise, pixels (choice).
+QUIET_PX = 6.0
+# Bounds of what the noise of what stands still may be, pixels (choice).
+SIGMA_PX = (0.02, 3.0)
+# Rounds of two kinds of displacements, and of the mixture, at most, which has settled where no more than this of a match
+# changes sides (choice).
+APART, ROUNDS, SETTLED = 50, 40, 0.02
+# By how much a mixture must be likelier than one motion (measured: docs/benchmarks.md#hard-pairs; of what moves by 1 to 4 px
+# before nothing, 2.1 at most in 24 scenes), and so many matches move, at least (choice).
+LIKELIER, LEAST = 3.0, 2 * MIN_MATCHES
+# A match of either kind may lie anywhere in a square of so many spreads, with this probability (choice).
+ANYWHERE, WRONG = 4.0, 0.05
+# What moves has at least so much of the noise of what stands still (choice).
+LESS_NOISE = 0.6
+
+
+class Parted(NamedTuple):
+    """A motion and the background that it was told from.
+
+    Attributes:
+        found: of what moves, its weights times the probability that they do.
+        minima, iterations, promise: of `fitted`.
+        moving: (N,) the probabilities.
+        missing: (6, 6) what the information has too much, since it is not certain which matches move.
+        gain: by how much this is likelier than that all have one motion.
+    """
+
+    found: Reweighted
+    minima: Settled
+    iterations: int
+    promise: float
+    moving: FloatArray
+    missing: FloatArray
+    gain: float
+
+    def rivals(self, cost: float) -> Settled:
+        """The minima, where that of the one motion has this cost."""
+        return self.minima._replace(costs=self.minima.costs - self.minima.costs.min() + cost - self.gain)
+
+
+class _Mixture(NamedTuple):
+    """Where expectation and maximisation came to: the motion, how likely each match is to have it, the noise of what stands
+    still, and what `reweight` says of the last round; its cost is that of the mixture."""
+
+    found: Reweighted
+    moving: FloatArray
+    sigma: float
+    cost: float
+    promise: float
+    iterations: int
+
+
+def some_move(stack: Stack, usable: BoolArray, one: Reweighted) -> bool:
+    """Whether more matches have moved by a little than would if all stood still; mismatches go farther."""
+    off = np.empty(len(stack.x))
+    _displacements(stack, off)
+    squares = 0.5 * off / _still_sigma(off, usable, one) ** 2
+    moved = int((usable & (squares > MOVES) & (squares < NEARBY)).sum())
+    return bool(moved > MOVE_BY_CHANCE * usable.sum() + MOVERS)
+
+
+def parted(
+    stack: Stack,
+    usable: BoolArray,
+    one: Reweighted,
+    guesses: Guesses,
+    rng: np.random.Generator,
+) -> Parted | None:
+    """A motion of some of the matches while others stand still; None where one motion does for all.
+
+    Args:
+        usable: (N,) matches that may be inliers.
+        one: the motion of all of them, which may be none.
+    """
+    off = np.empty(len(stack.x))
+    background = max(MIN_MATCHES, BACKGROUND * len(off))
+    if _displacements(stack, off) < background:
+        return None
+    sigma, share, still = _two_kinds(off, usable)
+    if share * usable.sum() < background:
+        return None
+    starts, iterations = [one] if one.weights.any() else [], 0
+    moves = usable & (still < 0.5)
+    if moves.sum() >= LEAST:
+        found, _, iterations, _ = fitted(stack, moves, guesses, rng)
+        starts += [found] if found.weights.any() else []
+    mixtures = [_mixture(stack, usable, start, off, sigma, still) for start in starts]
+    mixtures = [mixture for mixture in mixtures if mixture.moving.sum() >= LEAST]
+    if not mixtures:
+        return None
+    best = min(mixtures, key=lambda mixture: mixture.cost)
+    minima = Settled(
+        np.array([mixture.found.candidate.rotation for mixture in mixtures]),
+        np.array([mixture.found.candidate.shift for mixture in mixtures]),
+        np.array([mixture.cost for mixture in mixtures]),
+        np.full(len(mixtures), float(usable.sum())),
+    )
+    iterations += sum(mixture.iterations for mixture in mixtures)
+    gain = _cost(stack, usable, _one_kind(stack, one, off, best.sigma)) - best.cost
+    missing = _missing(stack, best.found, best.moving)
+    return Parted(best.found, minima, iterations, best.promise, best.moving, missing, gain)
+
+
+def _still_sigma(off: FloatArray, usable: BoolArray, one: Reweighted) -> float:
+    """The noise of what stands still, pixels: that of the motion's inliers, unless what hardly moves has less."""
+    sigma = float(np.median(one.sigma_px)) if one.weights.any() else np.inf
+    some = np.sort(off[usable])
+    # Half of a square of two coordinates, of twice the variance, is below its median half of the time.
+    least = some[: max(len(some) // 4, 1)]
+    quarter = float(np.sqrt(least[-1] / (4.0 * -np.log(0.75)))) if len(least) else 1.0
+    return max(min(sigma, quarter if np.isfinite(quarter) and quarter > 0 else sigma, 3.0), 0.02)
+
+
+@kernel
+def _displacements(stack: Stack, off: FloatArray) -> int:
+    """off (N,) becomes the squares of the displacements, square pixels; returns how many may be noise, at most."""
+    quiet = 0
+    for t in range(stack.focal.shape[0]):
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            square = (stack.y[i, 0] - stack.x[i, 0]) ** 2 + (stack.y[i, 1] - stack.x[i, 1]) ** 2
+            off[i] = square * stack.focal[t] ** 2
+            quiet += off[i] < QUIET_PX**2
+    return quiet
+
+
+def _two_kinds(off: FloatArray, usable: BoolArray) -> tuple[float, float, FloatArray]:
+    """Displacements as two kinds of noise, one larger: the less, as a standard deviation in pixels of a keypoint, its share,
+    and (N,) the probability of each to be of it. What goes farther than `QUIET_PX` thrice is of neither."""
+    some = off[usable & (off < (3.0 * QUIET_PX) ** 2)]
+    ordered = np.sort(some)
+    # A square of two coordinates is exponential; its mean is four times the variance of one keypoint's coordinate.
+    least, most = (max(float(part.mean()), 1e-12) for part in np.array_split(ordered, 2))
+    share = 0.5
+    for _ in range(APART):
+        still, moving = share / least * np.exp(-some / least), (1.0 - share) / most * np.exp(-some / most)
+        p = still / np.maximum(still + moving, 1e-300)
+        share = float(np.clip(p.mean(), 1e-3, 1.0 - 1e-3))
+        least = max(float((p * some).sum() / p.sum()), 4.0 * SIGMA_PX[0] ** 2)
+        most = max(float(((1.0 - p) * some).sum() / max((1.0 - p).sum(), 1e-300)), least)
+    still, moving = share / least * np.exp(-off / least), (1.0 - share) / most * np.exp(-off / most)
+    return float(np.sqrt(least / 4.0)), share, np.where(off < (3.0 * QUIET_PX) ** 2, still / np.maximum(still + moving, 1e-300), 0.0)
+
+
+def _mixture(
+    stack: Stack, usable: BoolArray, start: Reweighted, off: FloatArray, sigma: float, still: FloatArray
+) -> _Mixture:
+    """Expectation and maximisation from one motion, the noise of what stands still, and the probabilities (N,) of that."""
+    found = nothing_yet(stack)
+    copy_into(found.candidate, start.candidate)
+    found.sigma_px[:], found.relief[:] = start.sigma_px, start.relief
+    share, moving, promise, iterations = float(still[usable].mean()), np.zeros(len(off)), np.inf, 0
+    for _ in range(ROUNDS):
+        standing, going, anywhere = _densities(stack, found, off, sigma)
+        each = np.stack([share * standing, (1 - WRONG - share) * going, WRONG * anywhere])
+        each = np.where(usable, each / each.sum(axis=0), 0.0)
+        share = float(np.clip(each[0].sum() / usable.sum(), 1e-3, 1 - WRONG - 1e-3))
+        # What stands still has the noise of what moves, or less: that of the motion holds what it does not explain, too.
+        sigma = float(np.clip(np.sqrt((each[0] * off).sum() / max(4.0 * each[0].sum(), 1e-300)), *SIGMA_PX))
+        change = float(np.abs(each[1] - moving).max())
+        moving = each[1]
+        done, promise, _ = reweight(stack, moving, found)
+        iterations += done
+        # Else some few that agree by chance, without noise, would be what moves.
+        np.maximum(found.sigma_px, LESS_NOISE * sigma, out=found.sigma_px)
+        if change < SETTLED or not promise < np.inf:
+            break
+    standing, going, anywhere = _densities(stack, found, off, sigma)
+    share /= 1.0 - WRONG
+    return _Mixture(found, moving, sigma, _cost(stack, usable, share * standing + (1 - share) * going), promise, iterations)
+
+
+def _one_kind(stack: Stack, one: Reweighted, off: FloatArray, sigma: float) -> FloatArray:
+    """(N,) densities if there is but one motion, or none."""
+    standing, going, _ = _densities(stack, one, off, sigma)
+    return going if one.weights.any() else standing
+
+
+def _cost(stack: Stack, usable: BoolArray, density: FloatArray) -> float:
+    """The negative log-likelihood of densities (N,) per square pixel, as `reweight` has it."""
+    anywhere = np.repeat(0.5 / (ANYWHERE * stack.spread * stack.focal) ** 2, np.diff(stack.offsets))
+    return float(np.minimum(np.log(anywhere) - np.log(np.maximum(density, 1e-300)), 0.0)[usable].sum())
+
+
+def _densities(
+    stack: Stack, found: Reweighted, off: FloatArray, sigma: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(N,) of each match if it stands still, if it moves along, and if it is wrong; per square pixel."""
+    standing, going, anywhere = np.empty(len(off)), np.zeros(len(off)), np.zeros(len(off))
+    every = np.ones(len(off), dtype=bool)
+    standing[:] = np.exp(-0.25 * off / sigma**2) / (4.0 * np.pi * sigma**2)
+    for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
+        variance, relief = (found.sigma_px[t] / stack.focal[t]) ** 2, found.relief[t]
+        m = matched(stack, t, found.candidate, Tolerance(variance, relief, relief, CUTOFF), every, noise=False)[0]
+        spread = np.sqrt(1.0 + (relief * m.parallax) ** 2 / variance)
+        going[first:last] = np.exp(-0.5 * np.minimum(m.distance, 1e3)) / (4.0 * np.pi * found.sigma_px[t] ** 2 * spread)
+        anywhere[first:last] = 1.0 / (ANYWHERE * stack.spread[t] * stack.focal[t]) ** 2
+    return standing, going, np.maximum(anywhere, 1e-15)
+
+
+def _missing(stack: Stack, found: Reweighted, moving: FloatArray) -> FloatArray:
+    """(6, 6) Louis's missing information about (w, d), the surfaces following the motion as they do in the fit."""
+    n_matches, total = len(stack.x), np.zeros((7, 7))
+    out, right, gain, prior = np.zeros((6, 6)), np.zeros(7), np.zeros((SURFACE, 8)), np.zeros((SURFACE, SURFACE))
+    matches, equations, turned = no_matched(n_matches), no_equations(False, True), np.zeros((6, 6))
+    for t in range(len(stack.focal)):
+        mass = found.weights[stack.offsets[t] : stack.offsets[t + 1]].sum()
+        if not mass > 0.0:
+            continue
+        shared = found.relief[t] * np.sqrt(max(1.0, mass / INDEPENDENT))
+        tolerance = Tolerance((found.sigma_px[t] / stack.focal[t]) ** 2, found.relief[t], shared, CUTOFF)
+        match_equations(stack, t, moving, found.candidate, tolerance, matches, equations)
+        surface_prior(stack, t, found.candidate.surface[t], found.place[0], prior)
+        if not reduce_term(stack, t, found.candidate.surface[t], found.place[0], prior, equations, total, right, gain):
+            continue
+        # Motion and surface, (12,), per unit of motion in world axes.
+        turned[:3, :3] = turned[3:, 3:] = stack.qy[t]
+        ways = np.vstack([turned, -gain[:, :6]])
+        out += GAIN * (ways.T @ equations.missing @ ways)
+    return out
