@@ -173,7 +173,7 @@ class Outcome(NamedTuple):
 
 def outcome(found: Motion, truth: RigidTransform) -> Outcome:
     """Of one scene."""
-    if found.motion is None or found.status in SAYS_SO:
+    if found.motion is None or found.status in SAYS_SO or len(found.unseen) == 6:
         return Outcome(found.status, np.nan, np.nan, False)
     turn = (truth.rotation * found.motion.rotation.inv()).as_rotvec()
     error = np.concatenate([turn, truth.apply(found.center) - found.motion.apply(found.center)])

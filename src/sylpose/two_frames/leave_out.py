@@ -203,8 +203,9 @@ def exchanged(data: Sequence[TermData], solved: Solved, names: Sequence[str], so
 
 
 def _disagree(data: Sequence[TermData], fit: Fit) -> bool:
-    """Whether the cameras do: some are strained, or rejected as a whole, or there is no answer."""
-    return not fit.status.has_pose or _are_strained(data, fit) or bool(_rejected(data, fit).any())
+    """Whether the cameras do, or there is no answer. What is hardly told from a background accuses nobody."""
+    certain = fit.standing == 0.0 or any(_still(data, k) for k in range(len(data)))
+    return not fit.status.has_pose or (certain and (_are_strained(data, fit) or bool(_rejected(data, fit).any())))
 
 
 def _are_strained(data: Sequence[TermData], fit: Fit) -> bool:
@@ -224,9 +225,9 @@ def _only_junk(data: Sequence[TermData], fit: Fit, solve: Solve) -> bool:
 
 
 def _rejected(data: Sequence[TermData], fit: Fit) -> BoolArray:
-    """(T,) cameras hardly any of whose matches are inliers; none where a background was told from what moves."""
+    """(T,) cameras hardly any of whose matches are inliers."""
     inliers, matches = (np.array(n) for n in ([np.count_nonzero(w) for w in fit.weights], [len(t) for t in data]))
-    return np.asarray((fit.standing == 0.0) & (matches >= ENOUGH) & (inliers <= REJECTED * matches))
+    return np.asarray((matches >= ENOUGH) & (inliers <= REJECTED * matches))
 
 
 def _worst(
@@ -244,8 +245,7 @@ def _worst(
     strains = _strains(data, solved.fit) if posed else np.full(len(data), np.inf)
     gone = _rejected(data, solved.fit)
     order = np.where(gone, np.inf, strains)
-    costs: dict[int, float] = {}
-    rests: dict[int, Solved] = {}
+    costs, rests = dict[int, float](), dict[int, Solved]()
     for k in np.argsort(-order, kind="stable")[:TRIED].tolist():
         if not heard[k].any():
             continue
@@ -277,7 +277,7 @@ def _chance(cameras: int) -> float:
 def _still(data: Sequence[TermData], k: int) -> bool:
     """Whether nothing moves in a camera while all others see motion."""
     far = [term.focal * float(np.median(np.linalg.norm(term.y - term.x, axis=1))) for term in data]
-    return far[k] <= STILL_PX and min(far[:k] + far[k + 1 :]) > FAR_PX
+    return far[k] <= STILL_PX and min(far[:k] + far[k + 1 :], default=0.0) > FAR_PX
 
 
 def solved_part(data: Sequence[TermData], heard: Sequence[BoolArray], solve: Solve) -> Solved | None:

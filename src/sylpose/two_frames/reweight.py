@@ -25,6 +25,7 @@ __all__ = [
     "CUTOFF",
     "INDEPENDENT",
     "SETTLED",
+    "SIGMA_FLOOR_PX",
     "Reweighted",
     "nothing_yet",
     "reduce_term",
@@ -131,12 +132,13 @@ def nothing_yet(stack: Stack) -> Reweighted:
 
 
 @kernel
-def reweight(stack: Stack, usable: Usable, fit: Reweighted) -> tuple[int, float, float]:
+def reweight(stack: Stack, usable: Usable, fit: Reweighted, least_px: float) -> tuple[int, float, float]:
     """From one motion to the one that its inliers agree on, all in place.
 
     Args:
         usable: (N,) matches that may be inliers, or the probability of each that it is one of them.
         fit: its candidate and noise are the start; all of it becomes the result.
+        least_px: noise is not believed to be less; as a rule `SIGMA_FLOOR_PX`.
 
     Returns:
         number of rounds; what the last step promised to lower the cost by, infinite where no match agreed; the negative
@@ -153,7 +155,7 @@ def reweight(stack: Stack, usable: Usable, fit: Reweighted) -> tuple[int, float,
     unused, mass = np.empty(7), np.zeros(n)
     relief[:], place[:] = stack.relief, 0.0
     trusted = np.ones(n, np.bool_)
-    bound = SIGMA_GROWTH * sigma_px.max()
+    bound = max(SIGMA_GROWTH * sigma_px.max(), least_px)
     promise, length, count, settled = np.inf, 1.0, 0, False
     for count in range(1, MAX_ROUNDS + 2):
         cutoff = CUTOFF * (WIDER[count - 1] if count <= len(WIDER) else 1.0)
@@ -226,7 +228,8 @@ def reweight(stack: Stack, usable: Usable, fit: Reweighted) -> tuple[int, float,
                 mass[t] += weights[i]
         if count >= SECOND_ROUND:
             _set_aside(stack, usable, weights, trusted)
-            _scale(stack, weights, across, trusted, bound, sigma_px)
+            _scale(stack, weights, across, trusted, sigma_px)
+            sigma_px[:] = np.minimum(np.maximum(sigma_px, least_px), bound)
             _reliefs(stack, weights, along, parallax, sigma_px, relief)
         settled = (count >= MIN_ROUNDS and promise < SETTLED) or count == MAX_ROUNDS
     cost, density = 0.5 * place[0] ** 2, 0.0
@@ -358,9 +361,7 @@ def _reliefs(
 
 
 @kernel
-def _scale(
-    stack: Stack, weights: FloatArray, across: FloatArray, trusted: BoolArray, bound: float, sigma_px: FloatArray
-) -> None:
+def _scale(stack: Stack, weights: FloatArray, across: FloatArray, trusted: BoolArray, sigma_px: FloatArray) -> None:
     """sigma_px (T,) from the weighted residuals."""
     n = sigma_px.shape[0]
     squares, mass, inliers = np.zeros(n), np.zeros(n), 0
@@ -377,7 +378,7 @@ def _scale(
     rig = (squares * trusted).sum() / max((mass * trusted).sum(), 1e-12) / freedom
     for t in range(n):
         square = (squares[t] / freedom + RIG_MATCHES * rig) / (mass[t] + RIG_MATCHES)
-        sigma_px[t] = min(max(np.sqrt(square), SIGMA_FLOOR_PX), bound)
+        sigma_px[t] = np.sqrt(square)
 
 
 @kernel

@@ -11,7 +11,7 @@ from sylpose.numerics.compiled import kernel
 from sylpose.two_frames.affine_turns import FEW
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.moments_cost import Sums, moments_into
-from sylpose.two_frames.reweight import SETTLED, Reweighted, nothing_yet, reweight
+from sylpose.two_frames.reweight import SETTLED, SIGMA_FLOOR_PX, Reweighted, nothing_yet, reweight
 from sylpose.two_frames.search import Minima, no_minima, search
 from sylpose.two_frames.seeds import hyperplane_inliers
 from sylpose.two_frames.terms import Guesses, Stack, copy_into
@@ -95,7 +95,7 @@ def robust_fit(
             if look > 0 and _refined(minima.rotations[m], found, k):
                 continue
             _start_at(stack, minima, m, first_sigma, trial)
-            done, promised, cost = reweight(stack, usable, trial)
+            done, promised, cost = reweight(stack, usable, trial, SIGMA_FLOOR_PX)
             iterations += done
             found.rotations[k], found.shifts[k] = trial.candidate.rotation, trial.candidate.shift
             found.costs[k], found.inliers[k] = cost, (trial.weights > 0.0).sum()

@@ -14,10 +14,10 @@ from sylpose.numerics.matrices import forget, transpose
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.mixtures import alike, is_mixed
-from sylpose.two_frames.reweight import Reweighted, nothing_yet, reweight
+from sylpose.two_frames.reweight import SIGMA_FLOOR_PX, Reweighted, nothing_yet, reweight
 from sylpose.two_frames.rivals import LESS_LIKELY, second_planes, strongest_rival, together
 from sylpose.two_frames.robust_fit import fitted
-from sylpose.two_frames.standing import LIKELIER, parted, some_move
+from sylpose.two_frames.standing import LARGER, LIKELIER, hidden, missing, parted, some_move
 from sylpose.two_frames.terms import Stack, TermData, copy_into, guesses_of, stack_terms
 from sylpose.two_frames.valley import bend, less_certain, settle_across
 from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
@@ -32,6 +32,8 @@ FAR_PX = 6.0
 CONVERGED = 0.5
 # A motion nearby that is nearly as likely is within so many of its own distances (choice: two standard deviations).
 DOUBT = 0.5
+# Where a motion may be larger by this factor, most of the matches standing still, it is not known (choice).
+HARDLY = 3.0
 
 
 def fit_terms(
@@ -93,10 +95,13 @@ def fit_terms(
         both = _without(both, known * part.missing)
     information, without_depth = less_certain(both[0], bent), less_certain(both[1], bent)
     other = None
+    larger = hidden(stack, usable, found) if part is None else 1.0
     if stands_still(stack, found, information):
         if some_move(stack, usable, found) or strongest_rival(found, minima, information, radius) is not None:
             return no_fit(data, Status.MOSTLY_STILL)
-        status, rotation, shift = Status.NO_MOTION, np.eye(3), np.zeros(3)
+        status, rotation, shift, larger = Status.NO_MOTION, np.eye(3), np.zeros(3), LARGER[-1]
+    elif larger >= HARDLY:
+        return no_fit(data, Status.MOSTLY_STILL)
     elif rod is None:
         rival = strongest_rival(found, minima, information, radius)
         if rival is not None and rival.far:
@@ -104,6 +109,10 @@ def fit_terms(
         elif rival is not None:
             column = DOUBT * rival.step[:, None]
             information, without_depth = less_certain(information, column), less_certain(without_depth, column)
+    if larger > 1.0:
+        # Of a background all, or some, may be: the motion has any size up to this, and fewer matches tell of it.
+        column = (larger - 1.0) / np.sqrt(3.0) * np.append(Rotation.from_matrix(rotation).as_rotvec(), shift)[:, None]
+        information, without_depth = (less_certain(part / larger**2, column) for part in (information, without_depth))
     if rod is not None:
         information, without_depth = forget(information, rod), forget(without_depth, rod)
     return Fit(
@@ -134,7 +143,7 @@ def _least_turned(
     x, y, z, w = turn.as_quat()
     about = Rotation.from_rotvec(2.0 * np.arctan2(np.dot((x, y, z), rod[:3]), w) * rod[:3])
     again.candidate.rotation[:] = (about.inv() * turn).as_matrix()
-    _, promise, cost_again = reweight(stack, usable, again)
+    _, promise, cost_again = reweight(stack, usable, again, SIGMA_FLOOR_PX)
     return (again, float(promise)) if cost_again < cost + LESS_LIKELY else None
 
 
@@ -194,4 +203,5 @@ def warm_up() -> None:
     fit_terms(data, np.zeros(3), 0.1, [], np.random.default_rng(0))
     stack = stack_terms(data, np.zeros(3), 0.1)
     alike(stack, nothing_yet(stack))
+    missing(stack, nothing_yet(stack), np.full(len(stack.x), 0.5))
     settle_across(stack, np.ones(len(stack.x)), nothing_yet(stack), np.zeros(6), np.zeros(6), np.zeros(6))

@@ -14,9 +14,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.compiled import kernel
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.match_cost import Tolerance, match_equations, matched, no_equations, no_matched
 from sylpose.two_frames.reweight import (
@@ -32,15 +32,16 @@ from sylpose.two_frames.reweight import (
 from sylpose.two_frames.robust_fit import Settled, fitted
 from sylpose.two_frames.terms import SURFACE, Guesses, Stack, copy_into
 
-__all__ = ["LIKELIER", "Parted", "parted", "some_move"]
+__all__ = ["LARGER", "LIKELIER", "Parted", "hidden", "missing", "parted", "some_move"]
 
 # Of what has moved by a little, in units of noise, between these squares, chance has no more than this share and so many
 # (chi-squared of two degrees of freedom: 1 %, and three times it; choice).
 MOVES, NEARBY, MOVE_BY_CHANCE, MOVERS = 9.2, 200.0, 0.03, 6
 # A background is looked for where so large a share of the matches, and so many, may stand still (choice).
 BACKGROUND = 0.08
-# What goes farther does not stand still whatever the noise, pixels (choice).
-QUIET_PX = 6.0
+# What goes farther does not stand still whatever the noise; what goes farther than the second tells nothing of it, pixels
+# (choice).
+QUIET_PX, FAR_PX = 6.0, 18.0
 # Bounds of what the noise of what stands still may be, pixels (choice).
 SIGMA_PX = (0.02, 3.0)
 # Rounds of two kinds of displacements, and of the mixture, at most, which has settled where no more than this of a match
@@ -49,10 +50,13 @@ APART, ROUNDS, SETTLED = 50, 40, 0.02
 # By how much a mixture must be likelier than one motion (measured: docs/benchmarks.md#hard-pairs; of what moves by 1 to 4 px
 # before nothing, 2.1 at most in 24 scenes), and so many matches move, at least (choice).
 LIKELIER, LEAST = 3.0, 2 * MIN_MATCHES
+# By how much larger a motion may be than that of all matches, where it is that of some; rounds that tell their share; and
+# what is nearly as likely: two standard deviations (choice).
+LARGER, SHARED, AS_LIKELY = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0), 8, 2.0
 # A match of either kind may lie anywhere in a square of so many spreads, with this probability (choice).
 ANYWHERE, WRONG = 4.0, 0.05
 # What moves has at least so much of the noise of what stands still (choice).
-LESS_NOISE = 0.6
+LESS_NOISE = 0.9
 
 
 class Parted(NamedTuple):
@@ -93,8 +97,7 @@ class _Mixture(NamedTuple):
 
 def some_move(stack: Stack, usable: BoolArray, one: Reweighted) -> bool:
     """Whether more matches have moved by a little than would if all stood still; mismatches go farther."""
-    off = np.empty(len(stack.x))
-    _displacements(stack, off)
+    off = _displacements(stack)
     squares = 0.5 * off / _still_sigma(off, usable, one) ** 2
     moved = int((usable & (squares > MOVES) & (squares < NEARBY)).sum())
     return bool(moved > MOVE_BY_CHANCE * usable.sum() + MOVERS)
@@ -113,12 +116,11 @@ def parted(
         usable: (N,) matches that may be inliers.
         one: the motion of all of them, which may be none.
     """
-    off = np.empty(len(stack.x))
-    background = max(MIN_MATCHES, BACKGROUND * len(off))
-    if _displacements(stack, off) < background:
+    off = _displacements(stack)
+    if not _may_stand(off, usable):
         return None
-    sigma, share, still = _two_kinds(off, usable)
-    if share * usable.sum() < background:
+    sigma, still = _two_kinds(off, usable)
+    if not still[usable].sum() >= _background(off):
         return None
     starts, iterations = [one] if one.weights.any() else [], 0
     moves = usable & (still < 0.5)
@@ -138,8 +140,39 @@ def parted(
     )
     iterations += sum(mixture.iterations for mixture in mixtures)
     gain = _cost(stack, usable, _one_kind(stack, one, off, best.sigma)) - best.cost
-    missing = _missing(stack, best.found, best.moving)
-    return Parted(best.found, minima, iterations, best.promise, best.moving, missing, gain)
+    lost = missing(stack, best.found, best.moving)
+    return Parted(best.found, minima, iterations, best.promise, best.moving, lost, gain)
+
+
+def hidden(stack: Stack, usable: BoolArray, found: Reweighted) -> float:
+    """By how much larger the motion may be than that of all matches, if some of them are a background that stands still: 1
+    where it cannot be larger, and `LARGER`'s last where nothing tells.
+
+    Half of the matches that move by twice as much are the same in the mean, and more scattered.
+    """
+    off = _displacements(stack)
+    if not _may_stand(off, usable):
+        return 1.0
+    sigma = float(np.median(found.sigma_px))
+    larger = nothing_yet(stack)
+    larger.sigma_px[:], larger.relief[:] = found.sigma_px, found.relief
+    turn = Rotation.from_matrix(found.candidate.rotation).as_rotvec()
+    most, least = 1.0, np.inf
+    for factor in (1.0, *LARGER):
+        copy_into(larger.candidate, found.candidate)
+        larger.candidate.rotation[:] = Rotation.from_rotvec(factor * turn).as_matrix()
+        larger.candidate.shift[:] *= factor
+        standing, going, _ = _densities(stack, larger, off, sigma)
+        share, both = 1.0 - 1.0 / factor, going
+        for _ in range(SHARED if factor > 1.0 else 0):
+            both = share * standing + (1.0 - share) * going
+            share = float((share * standing / np.maximum(both, 1e-300))[usable].mean())
+        cost = _cost(stack, usable, both)
+        least = min(least, cost)
+        if cost > least + AS_LIKELY:
+            break
+        most = factor
+    return most
 
 
 def _still_sigma(off: FloatArray, usable: BoolArray, one: Reweighted) -> float:
@@ -152,25 +185,29 @@ def _still_sigma(off: FloatArray, usable: BoolArray, one: Reweighted) -> float:
     return max(min(sigma, quarter if np.isfinite(quarter) and quarter > 0 else sigma, 3.0), 0.02)
 
 
-@kernel
-def _displacements(stack: Stack, off: FloatArray) -> int:
-    """off (N,) becomes the squares of the displacements, square pixels; returns how many may be noise, at most."""
-    quiet = 0
-    for t in range(stack.focal.shape[0]):
-        for i in range(stack.offsets[t], stack.offsets[t + 1]):
-            square = (stack.y[i, 0] - stack.x[i, 0]) ** 2 + (stack.y[i, 1] - stack.x[i, 1]) ** 2
-            off[i] = square * stack.focal[t] ** 2
-            quiet += off[i] < QUIET_PX**2
-    return quiet
+def _displacements(stack: Stack) -> FloatArray:
+    """(N,) their squares, square pixels."""
+    squares = ((stack.y - stack.x) ** 2).sum(axis=1)
+    return np.asarray(squares * np.repeat(stack.focal**2, np.diff(stack.offsets)))
 
 
-def _two_kinds(off: FloatArray, usable: BoolArray) -> tuple[float, float, FloatArray]:
-    """Displacements as two kinds of noise, one larger: the less, as a standard deviation in pixels of a keypoint, its share,
-    and (N,) the probability of each to be of it. What goes farther than `QUIET_PX` thrice is of neither."""
-    some = off[usable & (off < (3.0 * QUIET_PX) ** 2)]
-    ordered = np.sort(some)
+def _may_stand(off: FloatArray, usable: BoolArray) -> bool:
+    """Whether so many matches have moved by so little that a background may be among them."""
+    return bool((usable & (off < QUIET_PX**2)).sum() >= _background(off))
+
+
+def _background(off: FloatArray) -> float:
+    """The number of matches that a background has, at least."""
+    return max(MIN_MATCHES, BACKGROUND * len(off))
+
+
+def _two_kinds(off: FloatArray, usable: BoolArray) -> tuple[float, FloatArray]:
+    """Squares of displacements (N,) as two kinds of noise, one larger: the less, as a standard deviation in pixels of a
+    keypoint, and (N,) the probability of each match to be of it. What goes far is of neither."""
+    near = off < FAR_PX**2
+    some = off[usable & near]
     # A square of two coordinates is exponential; its mean is four times the variance of one keypoint's coordinate.
-    least, most = (max(float(part.mean()), 1e-12) for part in np.array_split(ordered, 2))
+    least, most = (max(float(part.mean()), 1e-12) for part in np.array_split(np.sort(some), 2))
     share = 0.5
     for _ in range(APART):
         still, moving = share / least * np.exp(-some / least), (1.0 - share) / most * np.exp(-some / most)
@@ -179,7 +216,7 @@ def _two_kinds(off: FloatArray, usable: BoolArray) -> tuple[float, float, FloatA
         least = max(float((p * some).sum() / p.sum()), 4.0 * SIGMA_PX[0] ** 2)
         most = max(float(((1.0 - p) * some).sum() / max((1.0 - p).sum(), 1e-300)), least)
     still, moving = share / least * np.exp(-off / least), (1.0 - share) / most * np.exp(-off / most)
-    return float(np.sqrt(least / 4.0)), share, np.where(off < (3.0 * QUIET_PX) ** 2, still / np.maximum(still + moving, 1e-300), 0.0)
+    return float(np.sqrt(least / 4.0)), np.where(near, still / np.maximum(still + moving, 1e-300), 0.0)
 
 
 def _mixture(
@@ -199,15 +236,16 @@ def _mixture(
         sigma = float(np.clip(np.sqrt((each[0] * off).sum() / max(4.0 * each[0].sum(), 1e-300)), *SIGMA_PX))
         change = float(np.abs(each[1] - moving).max())
         moving = each[1]
-        done, promise, _ = reweight(stack, moving, found)
+        # Else some few that agree by chance, nearly without noise, would be what moves.
+        done, promise, _ = reweight(stack, moving, found, LESS_NOISE * sigma)
         iterations += done
-        # Else some few that agree by chance, without noise, would be what moves.
-        np.maximum(found.sigma_px, LESS_NOISE * sigma, out=found.sigma_px)
         if change < SETTLED or not promise < np.inf:
             break
     standing, going, anywhere = _densities(stack, found, off, sigma)
     share /= 1.0 - WRONG
-    return _Mixture(found, moving, sigma, _cost(stack, usable, share * standing + (1 - share) * going), promise, iterations)
+    return _Mixture(
+        found, moving, sigma, _cost(stack, usable, share * standing + (1 - share) * going), promise, iterations
+    )
 
 
 def _one_kind(stack: Stack, one: Reweighted, off: FloatArray, sigma: float) -> FloatArray:
@@ -238,15 +276,13 @@ def _densities(
     return standing, going, np.maximum(anywhere, 1e-15)
 
 
-def _missing(stack: Stack, found: Reweighted, moving: FloatArray) -> FloatArray:
+def missing(stack: Stack, found: Reweighted, moving: FloatArray) -> FloatArray:
     """(6, 6) Louis's missing information about (w, d), the surfaces following the motion as they do in the fit."""
     n_matches, total = len(stack.x), np.zeros((7, 7))
     out, right, gain, prior = np.zeros((6, 6)), np.zeros(7), np.zeros((SURFACE, 8)), np.zeros((SURFACE, SURFACE))
     matches, equations, turned = no_matched(n_matches), no_equations(False, True), np.zeros((6, 6))
     for t in range(len(stack.focal)):
         mass = found.weights[stack.offsets[t] : stack.offsets[t + 1]].sum()
-        if not mass > 0.0:
-            continue
         shared = found.relief[t] * np.sqrt(max(1.0, mass / INDEPENDENT))
         tolerance = Tolerance((found.sigma_px[t] / stack.focal[t]) ** 2, found.relief[t], shared, CUTOFF)
         match_equations(stack, t, moving, found.candidate, tolerance, matches, equations)
