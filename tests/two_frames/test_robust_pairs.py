@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.robust_pairs import SETTINGS, Outcome, exchanged, of_four, outcome, scene, turned
+from sylpose.matches import Matches
 from sylpose.results import Status
 from sylpose.two_frames.motion import estimate_motion
 
@@ -67,6 +68,39 @@ def test_what_moves_by_little_is_told_from_a_standing_background() -> None:
     assert 2.0 < nees_of_ok(found) < 12.0
     few = outcomes("static 80 %, moves 2 px", 10)
     assert all(o.status is not Status.NO_MOTION for o in few)
+
+
+@pytest.mark.parametrize("row", ["static 30 %, moves 2 px", "static 60 %, moves 2 px", "before nothing, moves 1 px"])
+def test_who_stands_still_is_not_certain_and_the_covariance_has_it(row: str) -> None:
+    """Means of 30 scenes of 6 unknowns, with statuses that leave a part open."""
+    squares = [o.nees for o in outcomes(row, 30) if np.isfinite(o.nees)]
+    assert len(squares) >= 25
+    assert 2.0 < float(np.mean(squares)) < 9.0
+
+
+def test_what_noise_hides_is_not_excluded() -> None:
+    """An object that moves by 1 px, the fifth of all matches: that nothing moves, or that it cannot be told, is said, and the
+    information does not deny the motion."""
+    found = outcomes("static 80 %, moves 1 px", 15)
+    assert not any(o.wrong for o in found)
+    assert not any(o.status is Status.OK for o in found)
+    still = outcomes("stands still, 60 matches", 15)
+    assert sum(o.status is Status.NO_MOTION for o in still) >= 13
+
+
+def test_what_goes_anywhere_before_a_background_is_no_motion() -> None:
+    """Three matches in ten join places within 5 px of each other by chance, and nothing moves."""
+    guessed = 0
+    for seed in range(12):
+        rng = np.random.default_rng([seed, 7])
+        pair, rig = scene(SETTINGS["stands still, 60 matches"], seed)
+        matches = []
+        for camera, m in zip(rig, pair.matches, strict=True):
+            wrong = rng.random(len(m)) < 0.3
+            off = np.where(wrong[:, None], rng.uniform(-5.0, 5.0, (len(m), 2)) / camera.matrix[0, 0], 0.0)
+            matches.append(Matches(m.x, m.y + off))
+        guessed += estimate_motion(rig, matches).status not in (Status.MOSTLY_STILL, Status.NO_MOTION)
+    assert guessed <= 1
 
 
 def test_the_share_that_stands_still_is_said() -> None:

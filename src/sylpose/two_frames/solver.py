@@ -64,7 +64,11 @@ def fit_terms(
         iterations += again[2]
         minima, best = together(minima, again[1]), again[1].costs.min() < minima.costs.min()
         found, promise = (again[0], again[3]) if best else (found, promise)
-    part = parted(stack, usable, found, guesses_of(guesses), rng)
+    larger, likelier = hidden(stack, usable, found)
+    stand = (
+        found.weights.any() and stands_still(stack, found, found.information) and not some_move(stack, usable, found)
+    )
+    part = None if stand else parted(stack, usable, found, likelier, guesses_of(guesses), rng)
     may = usable.astype(float)
     # A mixture that does not settle says nothing against the one motion.
     part = part if part is not None and part.promise < CONVERGED else None
@@ -95,7 +99,7 @@ def fit_terms(
         both = _without(both, known * part.missing)
     information, without_depth = less_certain(both[0], bent), less_certain(both[1], bent)
     other = None
-    larger = hidden(stack, usable, found) if part is None else 1.0
+    larger = larger if part is None else 1.0
     if stands_still(stack, found, information):
         if some_move(stack, usable, found) or strongest_rival(found, minima, information, radius) is not None:
             return no_fit(data, Status.MOSTLY_STILL)

@@ -31,6 +31,7 @@ from sylpose.two_frames.reweight import (
 )
 from sylpose.two_frames.robust_fit import Settled, fitted
 from sylpose.two_frames.terms import SURFACE, Guesses, Stack, copy_into
+from sylpose.two_frames.verdict import is_consistent
 
 __all__ = ["LARGER", "LIKELIER", "Parted", "hidden", "missing", "parted", "some_move"]
 
@@ -55,8 +56,9 @@ LIKELIER, LEAST = 3.0, 2 * MIN_MATCHES
 LARGER, SHARED, AS_LIKELY = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0), 8, 2.0
 # A match of either kind may lie anywhere in a square of so many spreads, with this probability (choice).
 ANYWHERE, WRONG = 4.0, 0.05
-# What moves has at least so much of the noise of what stands still (choice).
-LESS_NOISE = 0.9
+# What moves has at least so much of the noise of what stands still, and that has no more than so much of that of all matches
+# (choice).
+LESS_NOISE, MORE_NOISE = 0.9, 1.2
 
 
 class Parted(NamedTuple):
@@ -84,11 +86,12 @@ class Parted(NamedTuple):
 
 
 class _Mixture(NamedTuple):
-    """Where expectation and maximisation came to: the motion, how likely each match is to have it, the noise of what stands
-    still, and what `reweight` says of the last round; its cost is that of the mixture."""
+    """Where expectation and maximisation came to: the motion, how likely each match is to have it, and to stand still, the
+    noise of what does, and what `reweight` says of the last round; its cost is that of the mixture."""
 
     found: Reweighted
     moving: FloatArray
+    still: FloatArray
     sigma: float
     cost: float
     promise: float
@@ -107,6 +110,7 @@ def parted(
     stack: Stack,
     usable: BoolArray,
     one: Reweighted,
+    likelier: float,
     guesses: Guesses,
     rng: np.random.Generator,
 ) -> Parted | None:
@@ -115,6 +119,7 @@ def parted(
     Args:
         usable: (N,) matches that may be inliers.
         one: the motion of all of them, which may be none.
+        likelier: by how much a background is, as `hidden` has it.
     """
     off = _displacements(stack)
     if not _may_stand(off, usable):
@@ -122,13 +127,16 @@ def parted(
     sigma, still = _two_kinds(off, usable)
     if not still[usable].sum() >= _background(off):
         return None
+    # Where even what moves least moves by more than noise, nothing stands still.
+    if one.weights.any() and not likelier > 0.0 and sigma > MORE_NOISE * float(np.median(one.sigma_px)):
+        return None
     starts, iterations = [one] if one.weights.any() else [], 0
     moves = usable & (still < 0.5)
     if moves.sum() >= LEAST:
         found, _, iterations, _ = fitted(stack, moves, guesses, rng)
         starts += [found] if found.weights.any() else []
     mixtures = [_mixture(stack, usable, start, off, sigma, still) for start in starts]
-    mixtures = [mixture for mixture in mixtures if mixture.moving.sum() >= LEAST]
+    mixtures = [mixture for mixture in mixtures if _holds(stack, usable, mixture)]
     if not mixtures:
         return None
     best = min(mixtures, key=lambda mixture: mixture.cost)
@@ -144,35 +152,35 @@ def parted(
     return Parted(best.found, minima, iterations, best.promise, best.moving, lost, gain)
 
 
-def hidden(stack: Stack, usable: BoolArray, found: Reweighted) -> float:
-    """By how much larger the motion may be than that of all matches, if some of them are a background that stands still: 1
-    where it cannot be larger, and `LARGER`'s last where nothing tells.
+def hidden(stack: Stack, usable: BoolArray, one: Reweighted) -> tuple[float, float]:
+    """By how much larger than that of all matches the motion may be, if some of them are a background that stands still: 1
+    where it cannot be larger, and `LARGER`'s last where nothing tells; and by how much likelier a background is than none.
 
     Half of the matches that move by twice as much are the same in the mean, and more scattered.
     """
     off = _displacements(stack)
     if not _may_stand(off, usable):
-        return 1.0
-    sigma = float(np.median(found.sigma_px))
+        return 1.0, -np.inf
+    sigma = float(np.median(one.sigma_px))
     larger = nothing_yet(stack)
-    larger.sigma_px[:], larger.relief[:] = found.sigma_px, found.relief
-    turn = Rotation.from_matrix(found.candidate.rotation).as_rotvec()
-    most, least = 1.0, np.inf
+    larger.sigma_px[:], larger.relief[:] = one.sigma_px, one.relief
+    turn = Rotation.from_matrix(one.candidate.rotation).as_rotvec()
+    most, costs = 1.0, []
     for factor in (1.0, *LARGER):
-        copy_into(larger.candidate, found.candidate)
+        copy_into(larger.candidate, one.candidate)
         larger.candidate.rotation[:] = Rotation.from_rotvec(factor * turn).as_matrix()
         larger.candidate.shift[:] *= factor
         standing, going, _ = _densities(stack, larger, off, sigma)
-        share, both = 1.0 - 1.0 / factor, going
-        for _ in range(SHARED if factor > 1.0 else 0):
+        costs += [_cost(stack, usable, going)] if factor == 1.0 else []
+        share = max(1.0 - 1.0 / factor, BACKGROUND)
+        for _ in range(SHARED):
             both = share * standing + (1.0 - share) * going
             share = float((share * standing / np.maximum(both, 1e-300))[usable].mean())
-        cost = _cost(stack, usable, both)
-        least = min(least, cost)
-        if cost > least + AS_LIKELY:
+        costs.append(_cost(stack, usable, share * standing + (1.0 - share) * going))
+        if costs[-1] > min(costs) + AS_LIKELY:
             break
         most = factor
-    return most
+    return most, costs[0] - min(costs[1:])
 
 
 def _still_sigma(off: FloatArray, usable: BoolArray, one: Reweighted) -> float:
@@ -227,6 +235,7 @@ def _mixture(
     copy_into(found.candidate, start.candidate)
     found.sigma_px[:], found.relief[:] = start.sigma_px, start.relief
     share, moving, promise, iterations = float(still[usable].mean()), np.zeros(len(off)), np.inf, 0
+    each = np.zeros((3, len(off)))
     for _ in range(ROUNDS):
         standing, going, anywhere = _densities(stack, found, off, sigma)
         each = np.stack([share * standing, (1 - WRONG - share) * going, WRONG * anywhere])
@@ -244,8 +253,15 @@ def _mixture(
     standing, going, anywhere = _densities(stack, found, off, sigma)
     share /= 1.0 - WRONG
     return _Mixture(
-        found, moving, sigma, _cost(stack, usable, share * standing + (1 - share) * going), promise, iterations
+        found, moving, each[0], sigma, _cost(stack, usable, share * standing + (1 - share) * going), promise, iterations
     )
+
+
+def _holds(stack: Stack, usable: BoolArray, mixture: _Mixture) -> bool:
+    """Whether enough of what does not stand still has the motion, and more than would by chance."""
+    others = usable & (mixture.still < 0.5)
+    found = mixture.found._replace(weights=np.where(others, mixture.found.weights, 0.0))
+    return bool(mixture.moving.sum() >= LEAST and is_consistent(stack, others, found))
 
 
 def _one_kind(stack: Stack, one: Reweighted, off: FloatArray, sigma: float) -> FloatArray:
