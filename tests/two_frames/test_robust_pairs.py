@@ -79,7 +79,7 @@ def test_who_stands_still_is_not_certain_and_the_covariance_has_it(row: str) -> 
 
 
 def test_what_noise_hides_is_not_excluded() -> None:
-    """An object that moves by 1 px, the fifth of all matches: that nothing moves, or that it cannot be told, is said, and the
+    """An object that moves by 1 px, the fifth of all matches: that nothing moves, or that nobody can tell, is said, and the
     information does not deny the motion."""
     found = outcomes("static 80 %, moves 1 px", 15)
     assert not any(o.wrong for o in found)
