@@ -13,11 +13,12 @@ from sylpose.numerics.compiled import kernel
 from sylpose.numerics.matrices import forget, transpose
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
+from sylpose.two_frames.likelihoods import missing
 from sylpose.two_frames.mixtures import alike, is_mixed
 from sylpose.two_frames.reweight import SIGMA_FLOOR_PX, Reweighted, nothing_yet, reweight
 from sylpose.two_frames.rivals import LESS_LIKELY, second_planes, strongest_rival, together
 from sylpose.two_frames.robust_fit import fitted
-from sylpose.two_frames.standing import LARGER, LIKELIER, hidden, missing, parted, some_move
+from sylpose.two_frames.standing import LARGER, LIKELIER, hidden, parted, some_move
 from sylpose.two_frames.terms import Stack, TermData, copy_into, guesses_of, stack_terms
 from sylpose.two_frames.valley import bend, less_certain, settle_across
 from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still

@@ -5,8 +5,7 @@ is taken to stand still with some probability, and the motion is fitted to those
 then not certain, and the information is less by what that takes away: what a match says of the motion, squared, times the
 probabilities that it is the motion's and that it is not.
 
-Source: mixtures by expectation and maximisation, McLachlan & Krishnan, "The EM Algorithm and Extensions", chapters 2 and 4;
-what they do not tell, Louis, Journal of the Royal Statistical Society B 44, 1982, equation 3.1.
+Source: mixtures by expectation and maximisation, McLachlan & Krishnan, "The EM Algorithm and Extensions", chapters 2 and 4.
 """
 
 from __future__ import annotations
@@ -18,22 +17,13 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.two_frames.fit import MIN_MATCHES
-from sylpose.two_frames.match_cost import Tolerance, match_equations, matched, no_equations, no_matched
-from sylpose.two_frames.reweight import (
-    CUTOFF,
-    GAIN,
-    INDEPENDENT,
-    Reweighted,
-    nothing_yet,
-    reduce_term,
-    reweight,
-    surface_prior,
-)
+from sylpose.two_frames.likelihoods import WRONG, anywhere, cost_of, going, missing
+from sylpose.two_frames.reweight import Reweighted, nothing_yet, reweight
 from sylpose.two_frames.robust_fit import Settled, fitted
-from sylpose.two_frames.terms import SURFACE, Guesses, Stack, copy_into
+from sylpose.two_frames.terms import Guesses, Stack, copy_into
 from sylpose.two_frames.verdict import is_consistent
 
-__all__ = ["LARGER", "LIKELIER", "Parted", "hidden", "missing", "parted", "some_move"]
+__all__ = ["LARGER", "LIKELIER", "Parted", "hidden", "parted", "some_move"]
 
 # Of what has moved by a little, in units of noise, between these squares, chance has no more than this share and so many
 # (chi-squared of two degrees of freedom: 1 %, and three times it; choice).
@@ -54,8 +44,6 @@ LIKELIER, LEAST = 3.0, 2 * MIN_MATCHES
 # By how much larger a motion may be than that of all matches, where it is that of some; rounds that tell their share; and
 # what is nearly as likely: two standard deviations (choice).
 LARGER, SHARED, AS_LIKELY = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0), 8, 2.0
-# A match of either kind may lie anywhere in a square of so many spreads, with this probability (choice).
-ANYWHERE, WRONG = 4.0, 0.05
 # What moves has at least so much of the noise of what stands still, and that has no more than so much of that of all matches
 # (choice).
 LESS_NOISE, MORE_NOISE = 0.9, 1.2
@@ -147,7 +135,8 @@ def parted(
         np.full(len(mixtures), float(usable.sum())),
     )
     iterations += sum(mixture.iterations for mixture in mixtures)
-    gain = _cost(stack, usable, _one_kind(stack, one, off, best.sigma)) - best.cost
+    alone = going(stack, one) if one.weights.any() else _standing(off, best.sigma)
+    gain = cost_of(stack, usable, alone) - best.cost
     lost = missing(stack, best.found, best.moving)
     return Parted(best.found, minima, iterations, best.promise, best.moving, lost, gain)
 
@@ -161,7 +150,7 @@ def hidden(stack: Stack, usable: BoolArray, one: Reweighted) -> tuple[float, flo
     off = _displacements(stack)
     if not _may_stand(off, usable):
         return 1.0, -np.inf
-    sigma = float(np.median(one.sigma_px))
+    standing = _standing(off, float(np.median(one.sigma_px)))
     larger = nothing_yet(stack)
     larger.sigma_px[:], larger.relief[:] = one.sigma_px, one.relief
     turn = Rotation.from_matrix(one.candidate.rotation).as_rotvec()
@@ -170,13 +159,13 @@ def hidden(stack: Stack, usable: BoolArray, one: Reweighted) -> tuple[float, flo
         copy_into(larger.candidate, one.candidate)
         larger.candidate.rotation[:] = Rotation.from_rotvec(factor * turn).as_matrix()
         larger.candidate.shift[:] *= factor
-        standing, going, _ = _densities(stack, larger, off, sigma)
-        costs += [_cost(stack, usable, going)] if factor == 1.0 else []
+        along = going(stack, larger)
+        costs += [cost_of(stack, usable, along)] if factor == 1.0 else []
         share = max(1.0 - 1.0 / factor, BACKGROUND)
         for _ in range(SHARED):
-            both = share * standing + (1.0 - share) * going
+            both = share * standing + (1.0 - share) * along
             share = float((share * standing / np.maximum(both, 1e-300))[usable].mean())
-        costs.append(_cost(stack, usable, share * standing + (1.0 - share) * going))
+        costs.append(cost_of(stack, usable, share * standing + (1.0 - share) * along))
         if costs[-1] > min(costs) + AS_LIKELY:
             break
         most = factor
@@ -235,10 +224,9 @@ def _mixture(
     copy_into(found.candidate, start.candidate)
     found.sigma_px[:], found.relief[:] = start.sigma_px, start.relief
     share, moving, promise, iterations = float(still[usable].mean()), np.zeros(len(off)), np.inf, 0
-    each = np.zeros((3, len(off)))
+    each, wrong = np.zeros((3, len(off))), anywhere(stack)
     for _ in range(ROUNDS):
-        standing, going, anywhere = _densities(stack, found, off, sigma)
-        each = np.stack([share * standing, (1 - WRONG - share) * going, WRONG * anywhere])
+        each = np.stack([share * _standing(off, sigma), (1 - WRONG - share) * going(stack, found), WRONG * wrong])
         each = np.where(usable, each / each.sum(axis=0), 0.0)
         share = float(np.clip(each[0].sum() / usable.sum(), 1e-3, 1 - WRONG - 1e-3))
         # What stands still has the noise of what moves, or less: that of the motion holds what it does not explain, too.
@@ -250,11 +238,9 @@ def _mixture(
         iterations += done
         if change < SETTLED or not promise < np.inf:
             break
-    standing, going, anywhere = _densities(stack, found, off, sigma)
     share /= 1.0 - WRONG
-    return _Mixture(
-        found, moving, each[0], sigma, _cost(stack, usable, share * standing + (1 - share) * going), promise, iterations
-    )
+    cost = cost_of(stack, usable, share * _standing(off, sigma) + (1.0 - share) * going(stack, found))
+    return _Mixture(found, moving, each[0], sigma, cost, promise, iterations)
 
 
 def _holds(stack: Stack, usable: BoolArray, mixture: _Mixture) -> bool:
@@ -264,49 +250,6 @@ def _holds(stack: Stack, usable: BoolArray, mixture: _Mixture) -> bool:
     return bool(mixture.moving.sum() >= LEAST and is_consistent(stack, others, found))
 
 
-def _one_kind(stack: Stack, one: Reweighted, off: FloatArray, sigma: float) -> FloatArray:
-    """(N,) densities if there is but one motion, or none."""
-    standing, going, _ = _densities(stack, one, off, sigma)
-    return going if one.weights.any() else standing
-
-
-def _cost(stack: Stack, usable: BoolArray, density: FloatArray) -> float:
-    """The negative log-likelihood of densities (N,) per square pixel, as `reweight` has it."""
-    anywhere = np.repeat(0.5 / (ANYWHERE * stack.spread * stack.focal) ** 2, np.diff(stack.offsets))
-    return float(np.minimum(np.log(anywhere) - np.log(np.maximum(density, 1e-300)), 0.0)[usable].sum())
-
-
-def _densities(
-    stack: Stack, found: Reweighted, off: FloatArray, sigma: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(N,) of each match if it stands still, if it moves along, and if it is wrong; per square pixel."""
-    standing, going, anywhere = np.empty(len(off)), np.zeros(len(off)), np.zeros(len(off))
-    every = np.ones(len(off), dtype=bool)
-    standing[:] = np.exp(-0.25 * off / sigma**2) / (4.0 * np.pi * sigma**2)
-    for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
-        variance, relief = (found.sigma_px[t] / stack.focal[t]) ** 2, found.relief[t]
-        m = matched(stack, t, found.candidate, Tolerance(variance, relief, relief, CUTOFF), every, noise=False)[0]
-        spread = np.sqrt(1.0 + (relief * m.parallax) ** 2 / variance)
-        going[first:last] = np.exp(-0.5 * np.minimum(m.distance, 1e3)) / (4.0 * np.pi * found.sigma_px[t] ** 2 * spread)
-        anywhere[first:last] = 1.0 / (ANYWHERE * stack.spread[t] * stack.focal[t]) ** 2
-    return standing, going, np.maximum(anywhere, 1e-15)
-
-
-def missing(stack: Stack, found: Reweighted, moving: FloatArray) -> FloatArray:
-    """(6, 6) Louis's missing information about (w, d), the surfaces following the motion as they do in the fit."""
-    n_matches, total = len(stack.x), np.zeros((7, 7))
-    out, right, gain, prior = np.zeros((6, 6)), np.zeros(7), np.zeros((SURFACE, 8)), np.zeros((SURFACE, SURFACE))
-    matches, equations, turned = no_matched(n_matches), no_equations(False, True), np.zeros((6, 6))
-    for t in range(len(stack.focal)):
-        mass = found.weights[stack.offsets[t] : stack.offsets[t + 1]].sum()
-        shared = found.relief[t] * np.sqrt(max(1.0, mass / INDEPENDENT))
-        tolerance = Tolerance((found.sigma_px[t] / stack.focal[t]) ** 2, found.relief[t], shared, CUTOFF)
-        match_equations(stack, t, moving, found.candidate, tolerance, matches, equations)
-        surface_prior(stack, t, found.candidate.surface[t], found.place[0], prior)
-        if not reduce_term(stack, t, found.candidate.surface[t], found.place[0], prior, equations, total, right, gain):
-            continue
-        # Motion and surface, (12,), per unit of motion in world axes.
-        turned[:3, :3] = turned[3:, 3:] = stack.qy[t]
-        ways = np.vstack([turned, -gain[:, :6]])
-        out += GAIN * (ways.T @ equations.missing @ ways)
-    return out
+def _standing(off: FloatArray, sigma: float) -> FloatArray:
+    """(N,) densities if all stand still, per square pixel."""
+    return np.asarray(np.exp(-0.25 * off / sigma**2) / (4.0 * np.pi * sigma**2))
