@@ -19,12 +19,14 @@ from sylpose.numerics.compiled import kernel
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.leave_out import Solve, Solved, solved_part
+from sylpose.two_frames.solver import fit_apart
 from sylpose.two_frames.terms import TermData
 
 __all__ = ["Bodies", "larger_body"]
 
-# What is left over is looked at where it is more than this share of the inliers, in two cameras at least (choice).
-LEFT_OVER = 0.25
+# What is left over is looked at where it is more than this share of the inliers, in two cameras at least; and is a body where
+# it is more than the second (choice).
+LEFT_OVER, A_BODY = 0.1, 0.25
 # Neighbours go alike where their displacements differ by less than this share of what those of any two matches do, in the
 # median: mismatches come to 1, give or take 0.2 (choice).
 ALIKE = 0.5
@@ -81,10 +83,16 @@ def larger_body(data: Sequence[TermData], solved: Solved, solve: Solve) -> Bodie
         second = again if again is not None and again.fit.status is not Status.NO_MOTION else second
     counts = [_count([w > 0 for w in s.fit.weights]) for s in (first, second)]
     larger, smaller = (first, second) if counts[0] >= counts[1] else (second, first)
+    # About the same centre: both were solved for a place of their own.
+    shift = smaller.fit.shift + (smaller.fit.rotation - np.eye(3)) @ (larger.center - smaller.center)
+    smaller = Solved(replace(smaller.fit, shift=shift), larger.center, smaller.radius)
+    between = fit_apart(data, larger.center, larger.radius, larger.fit, smaller.fit)
     share = min(counts) / max(counts)
+    if between is not None and between[0].status is Status.OK:
+        larger, share = larger._replace(fit=between[0]), between[1]
+    if share < A_BODY:
+        return Bodies(solved, 0.0)
     if share > AS_LARGE:
-        # About the same centre: both were solved for a place of their own.
-        shift = smaller.fit.shift + (smaller.fit.rotation - np.eye(3)) @ (larger.center - smaller.center)
         larger = larger._replace(fit=replace(larger.fit, other=(smaller.fit.rotation, shift)))
     return Bodies(larger, share)
 

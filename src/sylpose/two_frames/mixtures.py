@@ -1,21 +1,30 @@
-"""More than one motion among the matches that one motion was fitted to: bodies that were taken for one.
+"""More than one motion among the matches that one motion was fitted to: bodies taken for one, and two of them apart.
 
 Two bodies side by side that move nearly alike are explained by one motion and a bent surface, with residuals that are too
 large by a little: nothing that a robust weight sees. But residuals across epipolar lines are noise, which neighbours do not
 share, and a wrong motion is wrong for neighbours alike (`alike`).
 
-Source: contiguity, Moran, Biometrika 37, 1950.
+Where both motions are known, many matches of one lie near the epipolar lines of the other's: every match has one of them, or
+the other, with some probability (`apart`).
+
+Source: contiguity, Moran, Biometrika 37, 1950; mixtures by expectation and maximisation, McLachlan & Krishnan, "The EM
+Algorithm and Extensions", chapters 2 and 4.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 
+from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
-from sylpose.two_frames.reweight import Reweighted
+from sylpose.two_frames.likelihoods import WRONG, anywhere, cost_of, going
+from sylpose.two_frames.reweight import Reweighted, nothing_yet, reweight
 from sylpose.two_frames.terms import Stack
 
-__all__ = ["alike", "is_mixed"]
+__all__ = ["Apart", "alike", "apart", "is_mixed"]
 
 # Neighbours of a match in the image that its residual is compared with, and of a camera's matches so many at most (choice).
 NEIGHBOURS, COMPARED = 3, 120
@@ -29,6 +38,10 @@ JUDGED = 8
 ALIKE, ALIKE_AT_LEAST = 5.0, 0.15
 # ... and what they share is more than this, pixels: less is rounding, lenses and keypoints (choice).
 ALIKE_PX = 0.1
+# Rounds of a mixture, at most, which has settled where no more than this of a match changes sides; and noise is never less,
+# pixels, nor less than so much of the other's (choice).
+ROUNDS, SETTLED = 40, 0.02
+SIGMA_LEAST_PX, LESS_NOISE = 0.02, 0.9
 
 
 @kernel
@@ -73,3 +86,44 @@ def alike(stack: Stack, found: Reweighted) -> tuple[float, float, float]:
 def is_mixed(correlation: float, deviations: float, covariance: float) -> bool:
     """Whether what neighbours share is more than one motion and noise explain."""
     return bool(deviations > ALIKE and correlation > ALIKE_AT_LEAST and covariance > ALIKE_PX**2)
+
+
+class Apart(NamedTuple):
+    """Two motions, each of some of the matches.
+
+    Attributes:
+        found: the two motions, their weights times the probabilities that they are the match's.
+        having: (2, N) the probabilities.
+        cost: negative log-likelihood of the matches.
+        promise: what the last steps promised (`reweight`), the larger of the two.
+        iterations: of the solver.
+    """
+
+    found: tuple[Reweighted, Reweighted]
+    having: FloatArray
+    cost: float
+    promise: float
+    iterations: int
+
+
+def apart(stack: Stack, starts: Sequence[tuple[FloatArray, FloatArray]], inliers: Sequence[BoolArray]) -> Apart:
+    """Expectation and maximisation from two motions (R, d) and (N,) their inliers, of which some are both's."""
+    found, having = (nothing_yet(stack), nothing_yet(stack)), np.zeros((2, len(stack.x)))
+    promises, iterations = [np.inf, np.inf], 0
+    for k, ((rotation, shift), mine) in enumerate(zip(starts, inliers, strict=True)):
+        found[k].candidate.rotation[:], found[k].candidate.shift[:] = rotation, shift
+        iterations += reweight(stack, (mine & ~inliers[1 - k]).astype(float), found[k], SIGMA_LEAST_PX)[0]
+    shares, wrong, every = np.full(2, 0.5), anywhere(stack), np.ones(len(stack.x), dtype=bool)
+    for _ in range(ROUNDS):
+        each = np.stack([share * (1.0 - WRONG) * going(stack, f) for share, f in zip(shares, found, strict=True)])
+        before, having = having, each / (each.sum(axis=0) + WRONG * wrong)
+        shares = having.sum(axis=1) / max(float(having.sum()), 1e-300)
+        for k in range(2):
+            # Both have the same noise: else some few that agree by chance would be a body.
+            least = LESS_NOISE * float(np.median(found[1 - k].sigma_px))
+            done, promises[k], _ = reweight(stack, having[k], found[k], least)
+            iterations += done
+        if np.abs(having - before).max() < SETTLED or not max(promises) < np.inf:
+            break
+    both = shares[0] * going(stack, found[0]) + shares[1] * going(stack, found[1])
+    return Apart(found, having, cost_of(stack, every, both), max(promises), iterations)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,16 +15,16 @@ from sylpose.numerics.matrices import forget, transpose
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.likelihoods import missing
-from sylpose.two_frames.mixtures import alike, is_mixed
+from sylpose.two_frames.mixtures import alike, apart, is_mixed
 from sylpose.two_frames.reweight import SIGMA_FLOOR_PX, Reweighted, nothing_yet, reweight
 from sylpose.two_frames.rivals import LESS_LIKELY, second_planes, strongest_rival, together
-from sylpose.two_frames.robust_fit import fitted
+from sylpose.two_frames.robust_fit import Settled, fitted
 from sylpose.two_frames.standing import LARGER, LIKELIER, hidden, parted, some_move
 from sylpose.two_frames.terms import Stack, TermData, copy_into, guesses_of, stack_terms
 from sylpose.two_frames.valley import bend, less_certain, settle_across
 from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
 
-__all__ = ["FAR_PX", "fit_terms", "warm_up"]
+__all__ = ["FAR_PX", "fit_apart", "fit_terms", "warm_up"]
 
 Hypothesis = tuple[FloatArray, FloatArray]
 
@@ -70,22 +71,68 @@ def fit_terms(
         found.weights.any() and stands_still(stack, found, found.information) and not some_move(stack, usable, found)
     )
     part = None if stand else parted(stack, usable, found, likelier, guesses_of(guesses), rng)
-    may = usable.astype(float)
     # A mixture that does not settle says nothing against the one motion.
     part = part if part is not None and part.promise < CONVERGED else None
     if part is not None and not part.gain > LIKELIER:
         minima, part = together(minima, part.rivals(float(minima.costs.min()))), None
     if part is not None:
-        found, minima, promise, may = part.found, part.minima, part.promise, part.moving
-        iterations += part.iterations
-    (rotation, shift, _), _, weights, across, information, without_depth, noise, _, _ = found
-    status = Status.OK
-    if not (weights > 0).sum() >= MIN_MATCHES or (part is None and not is_consistent(stack, usable, found)):
-        status = Status.NOT_CONSISTENT
+        standing = float(1.0 - part.moving.mean())
+        fit = _answer(data, stack, radius, part.found, part.minima, part.promise, part.moving, usable)
+        return replace(
+            fit, iterations=int(iterations + part.iterations), standing=standing if fit.status.has_pose else 0.0
+        )
+    if not is_consistent(stack, usable, found):
+        return no_fit(data, Status.NOT_CONSISTENT)
+    fit = _answer(data, stack, radius, found, minima, promise, usable.astype(float), usable, larger)
+    return replace(fit, iterations=int(iterations))
+
+
+def fit_apart(
+    data: Sequence[TermData], center: FloatArray, radius: float, first: Fit, second: Fit
+) -> tuple[Fit, float] | None:
+    """The first of two motions of the same terms, about the same centre, it not being certain which match has which; and the
+    second one's matches over its own. None where they do not settle.
+
+    Args:
+        data, center, radius: as `fit_terms` takes them.
+    """
+    stack = stack_terms(data, center, radius)
+    fits = (first, second)
+    both = apart(stack, [(f.rotation, f.shift) for f in fits], [np.concatenate(f.weights) > 0 for f in fits])
+    counts = both.having.sum(axis=1)
+    if not (both.promise < CONVERGED and counts.min() > MIN_MATCHES):
+        return None
+    one = both.found[0]
+    minima = Settled(one.candidate.rotation[None], one.candidate.shift[None], np.array([both.cost]), counts[:1])
+    usable = np.ones(len(stack.x), dtype=bool)
+    fit = _answer(data, stack, radius, one, minima, both.promise, both.having[0], usable)
+    return replace(fit, iterations=both.iterations), float(counts[1] / counts[0])
+
+
+def _answer(
+    data: Sequence[TermData],
+    stack: Stack,
+    radius: float,
+    found: Reweighted,
+    minima: Settled,
+    promise: float,
+    having: FloatArray,
+    usable: BoolArray,
+    larger: float = 1.0,
+) -> Fit:
+    """What is said of a motion: how certain it is, whether it is one, what else it may be.
+
+    Args:
+        found, minima, promise: of `fitted`, or of a mixture.
+        having: (N,) the probability of each match to have the motion, if it is not wrong.
+        usable: (N,) matches that may be inliers.
+        larger: by how much the motion may be larger (`hidden`).
+    """
+    status = Status.OK if (found.weights > 0).sum() >= MIN_MATCHES else Status.NOT_CONSISTENT
     rod = rod_axis(stack, found)
     if status is Status.OK and rod is not None:
-        found, promise = _least_turned(stack, may, found, rod, float(minima.costs.min())) or (found, promise)
-        (rotation, shift, _), _, weights, across, information, without_depth, noise, _, _ = found
+        found, promise = _least_turned(stack, having, found, rod, float(minima.costs.min())) or (found, promise)
+    (rotation, shift, _), _, weights, across, information, without_depth, noise, _, _ = found
     # About a rod the solver circles: that is no failure.
     if status is Status.OK and not ((promise < CONVERGED or rod is not None) and np.isfinite(information).all()):
         status = Status.NOT_CONVERGED
@@ -94,13 +141,12 @@ def fit_terms(
     # σ is estimated: the covariance is that of Student's distribution.
     freedom = int((weights > 0).sum()) - 6
     known = max(freedom - 2, 1) / freedom
-    bent = bend(stack, may, found, radius)
+    bent = bend(stack, having, found, radius)
     both = known * _without_noise(np.stack([information, without_depth]), noise)
-    if part is not None:
-        both = _without(both, known * part.missing)
+    if ((having > 0.0) & (having < 1.0)).any():
+        both = _without(both, known * missing(stack, found, having))
     information, without_depth = less_certain(both[0], bent), less_certain(both[1], bent)
     other = None
-    larger = larger if part is None else 1.0
     if stands_still(stack, found, information):
         if some_move(stack, usable, found) or strongest_rival(found, minima, information, radius) is not None:
             return no_fit(data, Status.MOSTLY_STILL)
@@ -124,15 +170,14 @@ def fit_terms(
         status,
         rotation,
         shift,
-        tuple(np.split(weights if part is None else weights * (part.moving > 0.5), stack.offsets[1:-1])),
+        tuple(np.split(weights * (having > 0.5), stack.offsets[1:-1])),
         tuple(np.split(across, stack.offsets[1:-1])),
         information,
         without_depth,
-        int(iterations),
+        0,
         other=other,
         mixed=is_mixed(*alike(stack, found)),
         cost=float(minima.costs.min()),
-        standing=0.0 if part is None else float(1.0 - part.moving.mean()),
     )
 
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.two_frames.fit import MIN_MATCHES
-from sylpose.two_frames.likelihoods import WRONG, anywhere, cost_of, going, missing
+from sylpose.two_frames.likelihoods import WRONG, anywhere, cost_of, going
 from sylpose.two_frames.reweight import Reweighted, nothing_yet, reweight
 from sylpose.two_frames.robust_fit import Settled, fitted
 from sylpose.two_frames.terms import Guesses, Stack, copy_into
@@ -56,7 +56,6 @@ class Parted(NamedTuple):
         found: of what moves, its weights times the probability that they do.
         minima, iterations, promise: of `fitted`.
         moving: (N,) the probabilities.
-        missing: (6, 6) what the information has too much, since it is not certain which matches move.
         gain: by how much this is likelier than that all have one motion.
     """
 
@@ -65,7 +64,6 @@ class Parted(NamedTuple):
     iterations: int
     promise: float
     moving: FloatArray
-    missing: FloatArray
     gain: float
 
     def rivals(self, cost: float) -> Settled:
@@ -137,8 +135,7 @@ def parted(
     iterations += sum(mixture.iterations for mixture in mixtures)
     alone = going(stack, one) if one.weights.any() else _standing(off, best.sigma)
     gain = cost_of(stack, usable, alone) - best.cost
-    lost = missing(stack, best.found, best.moving)
-    return Parted(best.found, minima, iterations, best.promise, best.moving, lost, gain)
+    return Parted(best.found, minima, iterations, best.promise, best.moving, gain)
 
 
 def hidden(stack: Stack, usable: BoolArray, one: Reweighted) -> tuple[float, float]:
