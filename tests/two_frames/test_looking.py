@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.robust_pairs import of_four, turned
 from sylpose.results import Status
-from sylpose.two_frames.fit import no_fit
-from sylpose.two_frames.leave_out import Solved, without_faults
+from sylpose.two_frames.fit import Solved, no_fit
+from sylpose.two_frames.leave_out import without_faults
 from sylpose.two_frames.looking import another_looks_elsewhere, missed
 from sylpose.two_frames.motion import estimate_motion
 from sylpose.two_frames.solver import fit_terms

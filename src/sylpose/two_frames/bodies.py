@@ -17,15 +17,15 @@ from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
 from sylpose.results import Status
-from sylpose.two_frames.fit import MIN_MATCHES
-from sylpose.two_frames.leave_out import Solve, Solved, solved_part
+from sylpose.two_frames.fit import MIN_MATCHES, Solve, Solved
+from sylpose.two_frames.leave_out import solved_part
 from sylpose.two_frames.solver import fit_apart
 from sylpose.two_frames.terms import TermData
 
 __all__ = ["Bodies", "larger_body"]
 
-# What is left over is looked at where it is more than this share of the inliers, in two cameras at least; and is a body where
-# it is more than the second (choice).
+# What is left over is looked at where it is more than this share of the inliers, in two cameras at least; a body is more than
+# the second (choice).
 LEFT_OVER, A_BODY = 0.1, 0.25
 # Neighbours go alike where their displacements differ by less than this share of what those of any two matches do, in the
 # median: mismatches come to 1, give or take 0.2 (choice).
@@ -34,6 +34,8 @@ ALIKE = 0.5
 COMPARED = 100
 # Where the first is left with the same matches but for this share of them, the second has what it had (choice).
 SAME = 0.05
+# A camera sees both where each has so large a share of its matches (choice).
+OF_BOTH = 0.1
 # Of two bodies, one with more than this share of the other's matches might be the object as well (choice).
 AS_LARGE = 0.8
 
@@ -88,9 +90,14 @@ def larger_body(data: Sequence[TermData], solved: Solved, solve: Solve) -> Bodie
     smaller = Solved(replace(smaller.fit, shift=shift), larger.center, smaller.radius)
     between = fit_apart(data, larger.center, larger.radius, larger.fit, smaller.fit)
     share = min(counts) / max(counts)
-    if between is not None and between[0].status is Status.OK:
-        larger, share = larger._replace(fit=between[0]), between[1]
-    if share < A_BODY:
+    if between is not None and between[0].status is Status.OK and not between[0].mixed:
+        larger, having = larger._replace(fit=between[0]), between[1]
+        share = float(having[1].sum() / having[0].sum())
+        # What is at fault with a camera it has of all matches.
+        body = (having.min(axis=0) > OF_BOTH * having.sum(axis=0)).sum() >= min(2, len(data))
+    else:
+        body = _count(left) > A_BODY * _count(inliers)
+    if not body or share < A_BODY:
         return Bodies(solved, 0.0)
     if share > AS_LARGE:
         larger = larger._replace(fit=replace(larger.fit, other=(smaller.fit.rotation, shift)))

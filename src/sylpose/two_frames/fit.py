@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.results import Status
 from sylpose.two_frames.terms import TermData
 
-__all__ = ["MIN_MATCHES", "Fit", "no_fit"]
+__all__ = ["MIN_MATCHES", "Fit", "Solve", "Solved", "no_fit"]
 
 # Eight matches in all cameras together leave two more equations than unknowns; fewer say nothing about themselves (choice).
 MIN_MATCHES = 8
@@ -55,6 +56,20 @@ class Fit:
     def with_matches(self, weights: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> Fit:
         """The same fit, spoken of as one of other terms."""
         return replace(self, weights=tuple(weights), residuals=tuple(residuals))
+
+
+class Solved(NamedTuple):
+    """A fit and the place that was assumed of the object."""
+
+    fit: Fit
+    center: FloatArray
+    radius: float
+
+
+class Solve(Protocol):
+    """Solves terms; `near` is tried as a start."""
+
+    def __call__(self, terms: Sequence[TermData], near: Solved | None = None) -> Solved: ...
 
 
 def no_fit(data: Sequence[TermData], status: Status) -> Fit:

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -27,13 +26,13 @@ from sylpose.numerics.compiled import kernel
 from sylpose.numerics.epipolar import essential, sampson
 from sylpose.paper.bad_cameras import suspect_cameras
 from sylpose.results import Status
-from sylpose.two_frames.fit import Fit
+from sylpose.two_frames.fit import Fit, Solve, Solved
 from sylpose.two_frames.looking import another_looks_elsewhere
 from sylpose.two_frames.reweight import SIGMA_FLOOR_PX
 from sylpose.two_frames.solver import FAR_PX
 from sylpose.two_frames.terms import TermData
 
-__all__ = ["Solve", "Solved", "exchanged", "solved_part", "without_faults"]
+__all__ = ["exchanged", "solved_part", "without_faults"]
 
 
 # Unknowns of a hyperplane, and inliers that tell something of it, at least (choice).
@@ -75,20 +74,6 @@ NEAR, FAR, SHARE = 1.5, 4.5, 0.3
 # of them are inliers of a motion of its own (choice).
 REJECTED, OWN = 0.2, 0.6
 EXCHANGED = "its matches are those of camera {}: the two were exchanged"
-
-
-class Solved(NamedTuple):
-    """A fit and the place that was assumed of the object."""
-
-    fit: Fit
-    center: FloatArray
-    radius: float
-
-
-class Solve(Protocol):
-    """Solves terms; `near` is tried as a start."""
-
-    def __call__(self, terms: Sequence[TermData], near: Solved | None = None) -> Solved: ...
 
 
 def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str], solve: Solve) -> Solved:
@@ -203,8 +188,9 @@ def exchanged(data: Sequence[TermData], solved: Solved, names: Sequence[str], so
 
 
 def _disagree(data: Sequence[TermData], fit: Fit) -> bool:
-    """Whether the cameras do, or there is no answer. What is hardly told from a background accuses nobody."""
-    certain = fit.standing == 0.0 or any(_still(data, k) for k in range(len(data)))
+    """Whether the cameras do, or there is no answer. What moves by little before a background accuses nobody."""
+    far = np.concatenate([_far(term)[w > 0] for term, w in zip(data, fit.weights, strict=True)])
+    certain = fit.standing == 0.0 or float(np.median(far)) > FAR_PX
     return not fit.status.has_pose or (certain and (_are_strained(data, fit) or bool(_rejected(data, fit).any())))
 
 
@@ -263,7 +249,7 @@ def _worst(
         return None, None
     margin = (CLEARLY if cameras > 3 else CLEAR) * usual
     clear = _still(data, best) or cameras > FEW or all(costs[k] - costs[best] > margin for k in others)
-    told = {i: term.subset(mask) for i, (term, mask) in enumerate(zip(data, heard, strict=True)) if mask.any()}
+    told = {i: t.subset(mask) for i, (t, mask) in enumerate(zip(data, heard, strict=True)) if mask.any()}
     if clear and not another_looks_elsewhere(list(told.values()), told[best]):
         return (best, rests[best]), None
     return None, rests[best] if left.max() <= AT_EASE + _chance(cameras) else None
@@ -274,9 +260,14 @@ def _chance(cameras: int) -> float:
     return 2.0 * math.log(max(cameras / 4, 1.0))
 
 
+def _far(term: TermData) -> FloatArray:
+    """(n,) how far its matches move, pixels."""
+    return np.asarray(term.focal * np.linalg.norm(term.y - term.x, axis=1))
+
+
 def _still(data: Sequence[TermData], k: int) -> bool:
     """Whether nothing moves in a camera while all others see motion."""
-    far = [term.focal * float(np.median(np.linalg.norm(term.y - term.x, axis=1))) for term in data]
+    far = [float(np.median(_far(term))) for term in data]
     return far[k] <= STILL_PX and min(far[:k] + far[k + 1 :], default=0.0) > FAR_PX
 
 

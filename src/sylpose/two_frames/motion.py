@@ -17,8 +17,8 @@ from sylpose.numerics.matrices import covariance_of, forget
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig
 from sylpose.two_frames.bodies import larger_body
-from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
-from sylpose.two_frames.leave_out import Solved, without_faults
+from sylpose.two_frames.fit import MIN_MATCHES, Fit, Solved, no_fit
+from sylpose.two_frames.leave_out import without_faults
 from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
 from sylpose.two_frames.solver import fit_terms
 from sylpose.two_frames.terms import TermData, object_place

@@ -89,9 +89,9 @@ def fit_terms(
 
 def fit_apart(
     data: Sequence[TermData], center: FloatArray, radius: float, first: Fit, second: Fit
-) -> tuple[Fit, float] | None:
-    """The first of two motions of the same terms, about the same centre, it not being certain which match has which; and the
-    second one's matches over its own. None where they do not settle.
+) -> tuple[Fit, FloatArray] | None:
+    """The first of two motions of the same terms, about the same centre, it not being certain which match has which; and
+    (2, T) how many matches of each term have the one and the other. None where they do not settle.
 
     Args:
         data, center, radius: as `fit_terms` takes them.
@@ -106,7 +106,7 @@ def fit_apart(
     minima = Settled(one.candidate.rotation[None], one.candidate.shift[None], np.array([both.cost]), counts[:1])
     usable = np.ones(len(stack.x), dtype=bool)
     fit = _answer(data, stack, radius, one, minima, both.promise, both.having[0], usable)
-    return replace(fit, iterations=both.iterations), float(counts[1] / counts[0])
+    return replace(fit, iterations=both.iterations), np.add.reduceat(both.having, stack.offsets[:-1], axis=1)
 
 
 def _answer(
