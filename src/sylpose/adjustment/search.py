@@ -97,7 +97,9 @@ def refined(
         problem, fit = relinearised(problem, image, rig, state.z), replace(fit, state=state)
     fit = minimise(problem, fit.state, max_rounds, on_round)
     summary, believed = problem.summary(fit, tied), problem.shared.shares
-    closer = np.where(np.arange(4) > 0, np.median(summary.excess[problem.sightings.free >= 0]) ** -0.5, 1.0)
+    # The search takes the noise for no less than its floor, and so for larger by a part of it already.
+    larger = np.median(summary.excess[problem.sightings.free >= 0]) * np.mean((summary.sigma / fit.sigma) ** 2)
+    closer = np.where(np.arange(4) > 0, max(larger, 1.0) ** -0.5, 1.0)
     fit = minimise(*rescaled(problem, fit.state, believed * closer), max_rounds, on_round)
     state = replace(fit.state, z=fit.state.z * closer[problem.shared.kind])
     return problem, replace(fit, state=state), summary
