@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
-import sylpose.adjustment.bundle as bundle_module
+import sylpose.adjustment.search as search_module
 import sylpose.adjustment.system as bundle_system
 from sylpose.adjustment.bundle import Bundled, Observations, bundle
 from sylpose.adjustment.kernels import Sightings, Views, derivatives, residuals
@@ -167,7 +167,7 @@ def test_derivative_of_log(seed: int) -> None:
 
 def test_agrees_with_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
     # To the last digit, and with the noise held: the weights that are reported are then those that led there.
-    monkeypatch.setattr(bundle_module, "SETTLED", 1e-14)
+    monkeypatch.setattr(search_module, "SETTLED", 1e-14)
     monkeypatch.setattr(Problem, "refined_noise", lambda *_: np.array([0.4, 0.5, 0.6, 0.5]))
     poses = path(np.arange(4))
     seen = tracks([poses] * 4, 10, 0.5, 3)

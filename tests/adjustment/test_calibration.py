@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.calibration import common, disturbed, path, pose_errors, seen_as
+from benchmarks.calibration import common, disturbed, path, pose_errors, scored, seen_as, tracked
 from benchmarks.slides import tracks
 from sylpose.adjustment.bundle import Bundled, Observations, bundle
 from sylpose.adjustment.calibration import Moved, corrected, lens_slopes, usual_doubt, with_doubt, with_moved
@@ -17,6 +17,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import box, ring
+from sylpose.smoothing.trajectory import smooth
 
 LENS = (-0.2, 0.05, 0.0004, -0.0003, 0)
 RIG = ring(4, 1.5, 1000.0, height=(0.4, -0.1, 0.2, 0.5), distortion=LENS)
@@ -149,3 +150,22 @@ def test_a_camera_that_was_moved() -> None:
     step = (now[4].camera_from_world.rotation * now[1].camera_from_world.rotation.inv()).as_rotvec()
     assert np.rad2deg(np.linalg.norm(step - values[1, 4:7])) < 0.2
     np.testing.assert_array_equal(now[4].matrix, now[1].matrix)
+
+
+@pytest.mark.parametrize(("degrees", "seed"), [(0.0, 3), (3.0, 4)])
+def test_errors_that_are_alike_are_no_calibration(degrees: float, seed: int) -> None:
+    """Of tracked images, whose neighbouring features err alike: an exact rig stays nearly so, one that is off is mended."""
+    tracked_frames, told, rig, true = tracked(seed, degrees, frames=40)
+    found = smooth(tracked_frames, told, doubt=usual_doubt(told), recalibrate=True)
+    assert found.correction is not None
+    poses = [pose for pose in found.poses if pose.measured]
+    stacked = RigidTransform.concatenate([p.world_from_object for p in poses if p.world_from_object is not None])
+    covariance = np.array([pose.covariance for pose in poses])
+    off, _, _, _, last, nees = scored(stacked, covariance, found.correction.rig, rig, true[[p.index for p in poses]])
+    assert 0.2 < nees < 9.0
+    if degrees:
+        assert off < common(told, rig)[3][:, 0].mean() / 5.0
+    else:
+        assert np.sqrt(np.mean((found.correction.values / found.correction.sd) ** 2)) < 1.0
+        assert off < 0.25
+        assert last < 5.0

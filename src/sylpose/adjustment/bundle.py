@@ -17,19 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.adjustment.calibration import (
-    EXACT,
-    Correction,
-    Doubt,
-    correction_of,
-    doubting,
-    freed,
-    relinearised,
-    rescaled,
-)
+from sylpose.adjustment.calibration import EXACT, Correction, Doubt, correction_of, doubting, rescaled
 from sylpose.adjustment.kernels import OFFSET, Sightings
 from sylpose.adjustment.length import told_by_noise
 from sylpose.adjustment.problem import Fit, Problem, State
+from sylpose.adjustment.search import minimise, refined
 from sylpose.adjustment.shared import offsets_and_surfaces, on_surface, usual_surfaces
 from sylpose.adjustment.ties import pattern_of, tied_frames
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
@@ -39,23 +31,9 @@ from sylpose.rig import Rig
 __all__ = ["Bundled", "Observations", "bundle"]
 
 
-# The noise level follows the residuals until it changes by less than this, or for so many rounds; then it is held (choice).
-SIGMA_SETTLED, SIGMA_ROUNDS = 0.05, 8
-# Weights follow the residuals until the step's square, in standard deviations and per frame, is less than this, or for
-# so many rounds; then they are held: each that is still about to change draws the rest on a little, in ever more rounds
-# (choice).
-WEIGHTS_SETTLED, WEIGHTS_ROUNDS = 0.02, 10
-# Converged when the step, all frames together, is a tenth of a standard deviation: what is left after it is much less
-# (choice).
-SETTLED = 0.1**2
-# Attempts per round to find a step that lowers the cost (choice).
-MAX_TRIES = 8
 # Every pose is known to half a turn and to some of the object's radii around its start: what nothing ties stays there
 # (choice).
 WEAK_TURN, WEAK_RADII = np.pi, 10.0
-
-# Lenses that are refined are linearised so often (choice: each time leaves a hundredth of the error).
-RELINEARISED = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +209,7 @@ def bundle(
     if surfaces_stay:
         problem = problem.with_depths_held()
     if (tied & ~stays).any():
-        fit = _minimise(problem, state, max_rounds, on_round)
+        fit = minimise(problem, state, max_rounds, on_round)
     else:
         unknown, e = np.zeros(len(seen)), problem.residuals(state)
         sigma = problem.noise(e, unknown)
@@ -239,22 +217,16 @@ def bundle(
     summary = problem.summary(fit, tied)
     if not surfaces_stay and (tied & ~stays).any() and told_by_noise(problem, fit, summary, tied):
         problem = problem.with_depths_held()
-        fit = _minimise(
+        fit = minimise(
             problem, replace(fit.state, z=np.where(problem.shared.depths, 0.0, fit.state.z)), max_rounds, on_round
         )
         summary = problem.summary(fit, tied)
     if doubt is not None:
-        free = recalibrate and bool((tied & ~stays).any())
-        again = rescaled(problem, fit.state, np.ones(4)) if moved else doubting(problem, fit.state, rig, doubt)
-        problem, fit = freed(again[0]) if free else again[0], replace(fit, state=again[1])
-        summary = problem.summary(fit, tied)
-        for _ in range(RELINEARISED if free else 0):
-            fit = _minimise(problem, fit.state, max_rounds, on_round)
-            summary = problem.summary(fit, tied)
-            problem, state = rescaled(problem, fit.state, summary.doubt_shares)
-            problem, fit = relinearised(problem, sightings.image, rig, state.z), replace(fit, state=state)
-        if free:
-            fit = _minimise(problem, fit.state, max_rounds, on_round)
+        problem, state = rescaled(problem, fit.state, np.ones(4)) if moved else doubting(problem, fit.state, rig, doubt)
+        fit = replace(fit, state=state)
+        if recalibrate and (tied & ~stays).any():
+            problem, fit, summary = refined(problem, fit, rig, sightings.image, tied, max_rounds, on_round)
+        else:
             summary = problem.summary(fit, tied)
     state, shared = fit.state, problem.shared
     correction = correction_of(shared, rig, doubt.before, state.z, summary.shared) if doubt is not None else None
@@ -262,7 +234,7 @@ def bundle(
     points = np.zeros((n_landmarks, 3)) if given is None else given.copy()
     points[names] = state.points
     weights, distances = np.empty(len(seen)), np.empty(len(seen))
-    weights[order], distances[order] = fit.weights, summary.distances
+    weights[order], distances[order] = fit.weights, np.linalg.norm(problem.residuals(state), axis=1)
     asked = offsets_sd is not None
     unused = np.setdiff1d(np.arange(n_cameras), seen.camera)
     summary.sigma[unused] = np.nan
@@ -288,46 +260,6 @@ def bundle(
         summary.doubt_shares,
         summary.away,
     )
-
-
-def _minimise(problem: Problem, state: State, max_rounds: int, on_round: Callable[[int], None] | None) -> Fit:
-    """Levenberg-Marquardt with re-weighting, from a state to where it settles."""
-    e = problem.residuals(state)
-    sigma = np.full(len(problem.focals), np.inf)
-    leverage = np.full(len(e), min(1.0, 3.0 * len(state.points) / max(len(e), 1)))
-    damping, settled, held = 0.0, False, None
-    for rounds in range(1, max_rounds + 1):
-        if on_round is not None:
-            on_round(rounds)
-        if not settled:
-            before, sigma = sigma, problem.noise(e, leverage)
-            state = problem.with_strays_back(state, e, sigma)
-            e = problem.residuals(state)
-            settled = bool(np.all(np.abs(sigma - before) < SIGMA_SETTLED * sigma)) or rounds >= SIGMA_ROUNDS
-        cost = problem.cost(e, sigma, state, held)
-        views = problem.views(state)
-        weights = problem.weights(e, sigma) if held is None else held
-        scaled = weights / sigma[problem.sightings.camera] ** 2
-        system = problem.system(state, views, scaled)
-        leverage = system.reduced.leverage
-        for _ in range(MAX_TRIES):
-            step, z, size = system.solve(damping)
-            trial = problem.moved(state, views, scaled, step, z)
-            e = problem.residuals(trial)
-            if problem.cost(e, sigma, trial, held) <= cost * (1.0 + 1e-12) or size < 1e-3 * SETTLED:
-                break
-            damping = max(30.0 * damping, 1e-5)
-        else:
-            return Fit(state, Status.NOT_CONVERGED, rounds, weights, sigma, leverage)
-        damping = damping / 30.0 if damping > 1e-5 else 0.0
-        state = problem.with_motion(trial)
-        if problem.timed:
-            e = problem.residuals(state)
-        if settled and size < SETTLED:
-            return Fit(state, Status.OK, rounds, weights, sigma, leverage)
-        if settled and held is None and (size < WEIGHTS_SETTLED * len(state.turns) or rounds >= WEIGHTS_ROUNDS):
-            held = problem.weights(e, sigma)
-    return Fit(state, Status.NOT_CONVERGED, max_rounds, weights, sigma, leverage)
 
 
 def _finite(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:

@@ -65,11 +65,10 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """sigma (C,) pixels, distances (n,) pixels, covariance (N, 6, 6), shared (k, k) of z, excess (N,), and how well the
+    """sigma (C,) pixels, covariance (N, 6, 6), shared (k, k) of z, excess (N,), and how well the
     length of the path is known, `length_sd`, `length_share`, `doubt_shares` and `away` as in `Bundled`."""
 
     sigma: FloatArray
-    distances: FloatArray
     covariance: FloatArray
     shared: FloatArray
     excess: FloatArray
@@ -252,7 +251,7 @@ class Problem:
         away = self._away(state, scaled, shared)
         covariance = bent(covariance, away)
         length = self._length(state, solver, usual, covariance, tied)
-        return Summary(sigma, np.linalg.norm(e, axis=1), covariance, shared, excess, *length, shares, away)
+        return Summary(sigma, covariance, shared, excess, *length, shares, away)
 
     def _away(self, state: State, weights: FloatArray, shared: FloatArray) -> FloatArray:
         """(N, 3, 3) covariance of where the surface is that cameras see, all its observations together, from the object's

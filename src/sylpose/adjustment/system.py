@@ -141,12 +141,13 @@ class System:
         return self.reduced.blocks[self.reduced.indptr[1:] - 1]
 
     def solver(self, damping: float = 0.0) -> Solver:
-        """The system factored, the diagonal of the frames' part enlarged by a share."""
+        """The system factored, the diagonals of the frames' part and of what is told of z enlarged by a share."""
         frames, spread = self._factor(damping), self.shared.flat
         n = len(spread)
         border = self.reduced.border.reshape(-1, n) @ spread
         gain = frames.solve(border)
         told = spread.T @ self.reduced.corner.reshape(n, n) @ spread - border.T @ gain
+        told[np.diag_indices_from(told)] *= 1.0 + damping
         return Solver(frames, border, gain, told, self.shared.held)
 
     def slope(self) -> FloatArray:
