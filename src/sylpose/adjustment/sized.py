@@ -45,11 +45,26 @@ def length_is_open(found: Bundled) -> bool:
 
 
 def bundle_sized(
-    rig: Rig, seen: Observations, world_from_object: RigidTransform, radius: float, **options: Any
+    rig: Rig,
+    seen: Observations,
+    world_from_object: RigidTransform,
+    radius: float,
+    *,
+    other: RigidTransform | None = None,
+    **options: Any,
 ) -> Bundled:
     """`bundle`; where that leaves the length of the path open, once more with the surfaces as far away as they have to be
-    for all cameras to see one body."""
+    for all cameras to see one body.
+
+    Args:
+        other: another path to start from, which may be likelier.
+        options: of `bundle`.
+    """
     found, rivals = _of_two_starts(rig, seen, world_from_object, radius, **options)
+    if other is not None:
+        second = bundle(rig, seen, other, radius, **{**options, "landmarks": None})
+        if _likelier(second, found, seen):
+            found, rivals = second, np.zeros_like(rivals)
     surfaces = _surfaces(rig, seen, found, radius) if len(rig) > 1 and length_is_open(found) else None
     if surfaces is not None:
         again = {**options, "landmarks": found.landmarks, "surfaces": surfaces}
@@ -71,10 +86,7 @@ def _of_two_starts(
     counted = np.bincount(seen.landmark)[seen.landmark] > 1
     if gives_up(other, found, seen, counted):
         return found, none
-    sigma = np.fmin(found.sigma_px, other.sigma_px)[seen.camera]
-    costs = [
-        float(biquartic_losses((b.residuals[counted] / (CUTOFF * sigma[counted])) ** 2).sum()) for b in (found, other)
-    ]
+    costs = _costs(found, other, seen, counted)
     best, second = found, other
     if costs[1] < costs[0]:
         again = {**options, "landmarks": other.landmarks}
@@ -86,6 +98,21 @@ def _of_two_starts(
     turn = (second.world_from_object.rotation * best.world_from_object.rotation.inv()).as_rotvec()
     off = np.hstack([turn, second.world_from_object.translation - best.world_from_object.translation])
     return best, off[:, :, None] * off[:, None, :]
+
+
+def _likelier(one: Bundled, other: Bundled, seen: Observations) -> bool:
+    """Whether one explains more of the observations than another, and gives no frame up for it."""
+    counted = np.bincount(seen.landmark)[seen.landmark] > 1
+    costs = _costs(one, other, seen, counted)
+    return costs[0] < costs[1] and not gives_up(one, other, seen, counted)
+
+
+def _costs(one: Bundled, other: Bundled, seen: Observations, counted: BoolArray) -> list[float]:
+    """What two refinements cost, with the same noise, of the observations (n,) that count."""
+    sigma = np.fmin(one.sigma_px, other.sigma_px)[seen.camera]
+    return [
+        float(biquartic_losses((b.residuals[counted] / (CUTOFF * sigma[counted])) ** 2).sum()) for b in (one, other)
+    ]
 
 
 def gives_up(one: Bundled, other: Bundled, seen: Observations, counted: BoolArray) -> bool:

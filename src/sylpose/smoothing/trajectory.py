@@ -20,6 +20,7 @@ from sylpose.adjustment.sized import bundle_sized, length_is_open
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import FramePose, Observable, Status
 from sylpose.rig import Rig
+from sylpose.tracking.far_frames import another_path
 from sylpose.tracking.joint import Nudge
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
 
@@ -135,11 +136,13 @@ def smooth(
         for i, m in enumerate(moves):
             camera = np.where((seen.camera == m.camera) & (index >= m.frame), len(rig) + i, camera)
         late = np.hstack([late, late[:, [m.camera for m in moves]]])
+    sights, path, radius = replace(seen, camera=camera), _stacked([frames[k].pose for k in used]), frames[used[-1]].radius
     bundled = bundle_sized(
         wider,
-        replace(seen, camera=camera),
-        _stacked([frames[k].pose for k in used]),
-        frames[used[-1]].radius,
+        sights,
+        path,
+        radius,
+        other=another_path(wider, sights, path, radius),
         landmarks=places,
         times=np.array([frames[k].pose.time for k in used])[:, None] + late,
         offsets_sd=offsets_sd,

@@ -18,6 +18,7 @@ from sylpose.adjustment.bundle import Bundled, Observations
 from sylpose.adjustment.sized import SMALL_TURN, bundle_sized, length_is_open
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.results import Status
+from sylpose.tracking.far_frames import another_path
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import viewpoints
@@ -201,6 +202,7 @@ def _bundled(
         observations,
         poses,
         joint.object.radius,
+        other=another_path(team.rig, observations, poses, joint.object.radius),
         landmarks=np.concatenate([seen.place for seen in told]),
         times=times,
         max_rounds=ROUNDS,
