@@ -136,7 +136,11 @@ def smooth(
         for i, m in enumerate(moves):
             camera = np.where((seen.camera == m.camera) & (index >= m.frame), len(rig) + i, camera)
         late = np.hstack([late, late[:, [m.camera for m in moves]]])
-    sights, path, radius = replace(seen, camera=camera), _stacked([frames[k].pose for k in used]), frames[used[-1]].radius
+    sights, path, radius = (
+        replace(seen, camera=camera),
+        _stacked([frames[k].pose for k in used]),
+        frames[used[-1]].radius,
+    )
     bundled = bundle_sized(
         wider,
         sights,

@@ -66,7 +66,7 @@ def fit_terms(
         iterations += again[2]
         minima, best = together(minima, again[1]), again[1].costs.min() < minima.costs.min()
         found, promise = (again[0], again[3]) if best else (found, promise)
-    larger, likelier = hidden(stack, usable, found)
+    larger, likelier = hidden(stack, usable, found) if np.isfinite(found.across).all() else (1.0, -np.inf)
     stand = (
         found.weights.any() and stands_still(stack, found, found.information) and not some_move(stack, usable, found)
     )
