@@ -66,11 +66,15 @@ def fit_terms(
         iterations += again[2]
         minima, best = together(minima, again[1]), again[1].costs.min() < minima.costs.min()
         found, promise = (again[0], again[3]) if best else (found, promise)
-    larger, likelier = hidden(stack, usable, found) if np.isfinite(found.across).all() else (1.0, -np.inf)
-    stand = (
-        found.weights.any() and stands_still(stack, found, found.information) and not some_move(stack, usable, found)
+    # Where the search ended nowhere there is no motion, whatever it left behind.
+    one = (
+        found
+        if np.isfinite(found.candidate.shift).all() and np.isfinite(found.information).all()
+        else nothing_yet(stack)
     )
-    part = None if stand else parted(stack, usable, found, likelier, guesses_of(guesses), rng)
+    larger, likelier = hidden(stack, usable, one)
+    stand = one.weights.any() and stands_still(stack, one, one.information) and not some_move(stack, usable, one)
+    part = None if stand else parted(stack, usable, one, likelier, guesses_of(guesses), rng)
     # A mixture that does not settle says nothing against the one motion.
     part = part if part is not None and part.promise < CONVERGED else None
     if part is not None and not part.gain > LIKELIER:
