@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.compiled import rotvec_of
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.likelihoods import WRONG, anywhere, cost_of, going
 from sylpose.two_frames.reweight import Reweighted, nothing_yet, reweight
@@ -37,7 +38,9 @@ QUIET_PX, FAR_PX = 6.0, 18.0
 SIGMA_PX = (0.02, 3.0)
 # Rounds of two kinds of displacements, and of the mixture, at most, which has settled where no more than this of a match
 # changes sides (choice).
-APART, ROUNDS, SETTLED = 50, 40, 0.02
+APART, ROUNDS, SETTLED = 50, 15, 0.02
+# A motion is another's start where it is within three of its standard deviations (choice).
+NEAR = 9.0
 # By how much a mixture must be likelier than one motion (measured: docs/benchmarks.md#hard-pairs; of what moves by 1 to 4 px
 # before nothing, 2.1 at most in 24 scenes), and so many matches move, at least (choice).
 LIKELIER, LEAST = 3.0, 2 * MIN_MATCHES
@@ -120,8 +123,12 @@ def parted(
     moves = usable & (still < 0.5)
     if moves.sum() >= LEAST:
         found, _, iterations, _ = fitted(stack, moves, guesses, rng)
-        starts += [found] if found.weights.any() else []
-    mixtures = [_mixture(stack, usable, start, off, sigma, still) for start in starts]
+        starts = [found, *starts] if found.weights.any() else starts
+    mixtures: list[_Mixture] = []
+    for start in starts:
+        # From where another one has come to, nothing else is found.
+        if not any(_is_near(mixture.found, start) for mixture in mixtures):
+            mixtures.append(_mixture(stack, usable, start, off, sigma, still))
     mixtures = [mixture for mixture in mixtures if _holds(stack, usable, mixture)]
     if not mixtures:
         return None
@@ -238,6 +245,14 @@ def _mixture(
     share /= 1.0 - WRONG
     cost = cost_of(stack, usable, share * _standing(off, sigma) + (1.0 - share) * going(stack, found))
     return _Mixture(found, moving, each[0], sigma, cost, promise, iterations)
+
+
+def _is_near(found: Reweighted, start: Reweighted) -> bool:
+    """Whether a start is, for all that can be said, the motion that was found."""
+    turn = np.empty(3)
+    rotvec_of(start.candidate.rotation @ found.candidate.rotation.T, turn)
+    step = np.concatenate([turn, start.candidate.shift - found.candidate.shift])
+    return bool(step @ found.information @ step < NEAR)
 
 
 def _holds(stack: Stack, usable: BoolArray, mixture: _Mixture) -> bool:
