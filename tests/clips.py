@@ -18,6 +18,7 @@ from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, DemoTruth, Scene, TexturedBody, demo_scene, demo_truth, render_frames
 from sylpose.simulate.render import Path
 from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.tracker import track
 
 Images = Sequence[Image | None]
 Masks = Sequence[BoolArray | None]
@@ -57,6 +58,13 @@ class Clip:
 def turning_clip() -> Clip:
     """Eight frames of three cameras: a turn by 20 degrees."""
     return Clip.render(demo_scene(frames=FRAMES, turn_deg=20, size=SIZE, n_cameras=3))
+
+
+@cache
+def tracked_turning(with_boxes: bool) -> tuple[TrackedFrame, ...]:
+    """`turning_clip` as it is tracked, with its boxes or without: read only."""
+    clip = turning_clip()
+    return tuple(track(clip.frames(), clip.rig, clip.boxes if with_boxes else None))
 
 
 @cache

@@ -24,8 +24,8 @@ from sylpose.two_frames.terms import TermData
 
 __all__ = ["Bodies", "larger_body"]
 
-# What is left over is looked at where it is more than this share of the inliers, in two cameras at least; a body is more than
-# the second (choice).
+# What is left over is looked at where it is more than this share of the inliers, in two cameras at least; a body is more
+# than the second (choice).
 LEFT_OVER, A_BODY = 0.1, 0.25
 # Neighbours go alike where their displacements differ by less than this share of what those of any two matches do, in the
 # median: mismatches come to 1, give or take 0.2 (choice).
