@@ -83,6 +83,11 @@ def turned(degrees: float, place: ArrayLike = (0, 0, 0)) -> RigidTransform:
     return RigidTransform.from_components(np.asarray(place, float), Rotation.from_rotvec(np.radians(degrees) * AXIS))
 
 
+def drifting(frame: float) -> RigidTransform:
+    """Three degrees and 7 mm per frame."""
+    return turned(3 * frame, np.array([0.006, -0.002, 0.004]) * frame)
+
+
 def slab(sides: ArrayLike, seed: int) -> TexturedBody:
     """A textured box (3 sides) at the block's distance."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * np.asarray(sides) / 2
