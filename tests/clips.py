@@ -18,6 +18,7 @@ from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, DemoTruth, Scene, TexturedBody, demo_scene, demo_truth, render_frames
 from sylpose.simulate.render import Path
 from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.tracker import track
 
 Images = Sequence[Image | None]
 Masks = Sequence[BoolArray | None]
@@ -60,6 +61,13 @@ def turning_clip() -> Clip:
 
 
 @cache
+def tracked_turning(with_boxes: bool) -> tuple[TrackedFrame, ...]:
+    """`turning_clip` as it is tracked, with its boxes or without: read only."""
+    clip = turning_clip()
+    return tuple(track(clip.frames(), clip.rig, clip.boxes if with_boxes else None))
+
+
+@cache
 def _demo(n_cameras: int) -> Scene:
     return demo_scene(frames=1, size=SIZE, n_cameras=n_cameras)
 
@@ -73,6 +81,11 @@ def moving_scene(path: Path, frames: int, others: Sequence[Actor] = (), n_camera
 def turned(degrees: float, place: ArrayLike = (0, 0, 0)) -> RigidTransform:
     """The pose of an object that has turned by so much and is at a place (3,)."""
     return RigidTransform.from_components(np.asarray(place, float), Rotation.from_rotvec(np.radians(degrees) * AXIS))
+
+
+def drifting(frame: float) -> RigidTransform:
+    """Three degrees and 7 mm per frame."""
+    return turned(3 * frame, np.array([0.006, -0.002, 0.004]) * frame)
 
 
 def slab(sides: ArrayLike, seed: int) -> TexturedBody:

@@ -15,10 +15,12 @@ from multiprocessing import get_context
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose import estimate_motion
 from sylpose.adjustment.bundle import Observations, bundle
 from sylpose.features import klt
 from sylpose.known_model.pose import estimate_pose
 from sylpose.landmarks.alignment import Sights, align
+from sylpose.matches import Matches
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.centralized import solve_centralized
@@ -68,6 +70,14 @@ def known_model() -> None:
     estimate_pose(RIG, [POINTS] * len(RIG), [camera.project(TURN.apply(POINTS)) for camera in RIG])
 
 
+def two_bodies() -> None:
+    both = [zip(seen(Rotation.identity()), seen(turn), strict=True) for turn in (TURN, TURN.inv() * TURN.inv())]
+    matches = [[Matches(x, y) for (_, x), (_, y) in pairs] for pairs in both]
+    joined = [Matches(np.vstack([a.x, b.x[::2]]), np.vstack([a.y, b.y[::2]])) for a, b in zip(*matches, strict=True)]
+    estimate_motion(RIG, joined)
+    estimate_motion(RIG, [*matches[0][:2], matches[1][2]])
+
+
 def smoothing() -> None:
     turns = [Rotation.from_rotvec(0.02 * k * TURN.as_rotvec()) for k in range(4)]
     n, cameras = len(POINTS), len(RIG)
@@ -83,7 +93,7 @@ def following() -> None:
 
 
 def the_rest() -> None:
-    for part in (smoothing, landmarks, known_model, paper, following):
+    for part in (smoothing, landmarks, known_model, paper, following, two_bodies):
         part()
 
 

@@ -6,8 +6,11 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from hypothesis import settings
+from matplotlib.figure import Figure
 
 from sylpose.simulate import demo_scene, write_sequence
 
@@ -32,3 +35,15 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def session(recording: Path, tmp_path: Path) -> Path:
     """A copy of `recording`, to be changed."""
     return Path(shutil.copytree(recording, tmp_path / "session"))
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made but not drawn: their files are one pixel. Drawing takes as long as tracking a few frames does, and
+    tests/report looks at the drawn ones, as do runs in processes of their own."""
+    pixel = cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].tobytes()
+
+    def savefig(_: Figure, path: Path | str, **__: object) -> None:
+        Path(path).write_bytes(pixel)
+
+    monkeypatch.setattr(Figure, "savefig", savefig)

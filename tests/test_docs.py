@@ -201,6 +201,7 @@ GIVEN: dict[str, Callable[[], dict[str, Any]]] = {
 PYTHON = [block for block in blocks() if block.language == "python"]
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("block", PYTHON, ids=[block.name for block in PYTHON])
 def test_python_runs(block: Block, session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a folder with a recording; what it assumes is given."""
@@ -211,6 +212,7 @@ def test_python_runs(block: Block, session: Path, monkeypatch: pytest.MonkeyPatc
         exec("\n".join(imports), namespace)
         return
     monkeypatch.chdir(session.rename(session.parent / "recording").parent)
+    monkeypatch.setattr("sylpose.app.sync.ROUNDS", 1)  # that it runs, not how well it does
     for start, given in GIVEN.items():
         if block.lines[0].startswith(start):
             namespace |= given()
@@ -334,6 +336,7 @@ def test_targets_of_make_exist() -> None:
             assert target in targets, page
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_commands_of_a_beginning_run(
     session: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

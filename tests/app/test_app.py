@@ -29,6 +29,8 @@ from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 from sylpose.sync.offsets import load_offsets
 from tests.conftest import FRAMES
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 CAMERAS = ("cam_0", "cam_1", "cam_2")
 
 

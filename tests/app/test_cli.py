@@ -41,6 +41,8 @@ from sylpose.tracking.tracker import Tracker
 from tests.conftest import FRAMES
 from tests.where import DATA
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 OUTPUTS = {"trajectory.tum", "trajectory.csv", "tracked.tum", "tracked.csv", "report.png", "overlay.mp4"}
 
 

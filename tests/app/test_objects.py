@@ -22,6 +22,8 @@ from sylpose.report.files import read_trajectory, read_tum
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, demo_scene, write_recording
 from sylpose.tracking.tracked_frame import TrackedFrame
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 FRAMES = 8
 TRAJECTORIES = ("trajectory.tum", "trajectory.csv")
 

@@ -19,6 +19,8 @@ from sylpose.rig import Rig
 from sylpose.simulate import demo_scene, demo_truth, render_sequence, ring
 from sylpose.simulate.files import session_folder, write_boxes, write_videos
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 def test_as_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = render_sequence(tmp_path / "s", frames=8, turn_deg=24.0, size=(240, 180), n_cameras=3, boxes=True)

@@ -6,6 +6,7 @@ import io
 import json
 import pickle
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -28,6 +29,8 @@ from sylpose.cli import main
 from sylpose.report.files import read_trajectory
 from sylpose.rig import Rig
 from sylpose.tracking.tracked_frame import TrackedFrame
+
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 # Of the recording's frames; fewer are faster.
 FRAMES = 7
@@ -157,7 +160,7 @@ def test_what_ends_while_it_is_finished_goes_on(
     def breaks(*_: object, **__: object) -> None:
         raise PowerCutError
 
-    track_session(open_session(session), tmp_path / "part", **options)  # an earlier run's results are not taken for it
+    shutil.copytree(tmp_path / "whole", tmp_path / "part")  # an earlier run's results are not taken for it
     with monkeypatch.context() as patch:
         patch.setattr(f"sylpose.app.outputs.{where}", breaks)
         with pytest.raises(PowerCutError):

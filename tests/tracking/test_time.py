@@ -26,6 +26,7 @@ from tests.clips import (
     moving_scene,
     statuses,
     surface_points,
+    tracked_turning,
     turned,
     turning_clip,
 )
@@ -96,10 +97,8 @@ def test_offsets_do_what_time_stamps_do(late: Clip, told: list[TrackedFrame]) ->
 
 
 def test_cameras_at_the_same_instant_need_no_correction() -> None:
-    clip = turning_clip()
-    plain, same = (
-        list(track(frames, clip.rig, clip.boxes)) for frames in (clip.frames(), stamped(clip, [0.0] * len(clip.rig)))
-    )
+    clip, plain = turning_clip(), tracked_turning(True)
+    same = list(track(stamped(clip, [0.0] * len(clip.rig)), clip.rig, clip.boxes))
     for a, b in zip(plain, same, strict=True):
         assert a.pose.world_from_object is not None
         assert b.pose.world_from_object is not None
@@ -183,9 +182,8 @@ def test_a_landmarks_number_is_one_place_on_the_object(loop: Clip, around: list[
 @pytest.mark.parametrize("cut", [0, 1, 4, 6])
 @pytest.mark.parametrize("with_boxes", [True, False])
 def test_a_tracker_goes_on_from_a_checkpoint(cut: int, with_boxes: bool) -> None:
-    clip = turning_clip()
+    clip, whole = turning_clip(), tracked_turning(with_boxes)
     frames, boxes = clip.frames(), clip.boxes if with_boxes else None
-    whole = list(track(frames, clip.rig, boxes))
     with Tracker(clip.rig, boxes) as tracker:
         decided = [f for frame in frames[:cut] for f in tracker.step(frame)]
         stored = pickle.dumps(tracker)

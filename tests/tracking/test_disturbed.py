@@ -1,0 +1,194 @@
+"""The tracker when cameras fail, and beside something else that moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.numerics.arrays import Image
+from sylpose.results import FrameStatus
+from sylpose.rig import Camera, Rig
+from sylpose.simulate import Actor, chamfered_box
+from sylpose.tracking.tracker import track
+from tests.clips import (
+    BLACK,
+    FRAMES,
+    HALF_DEGREE,
+    SIZE,
+    Clip,
+    Images,
+    assert_valid,
+    drifting,
+    errors,
+    frame_sets,
+    inliers,
+    moving_scene,
+    slab,
+    statuses,
+    turned,
+    turning_clip,
+)
+
+
+@pytest.fixture(scope="module")
+def clip() -> Clip:
+    return turning_clip()
+
+
+# --- cameras that fail
+
+
+def test_a_camera_without_some_frames(clip: Clip) -> None:
+    images = [(a, None if k in (0, 4, 5) else b, c) for k, (a, b, c) in enumerate(clip.images)]
+    for boxes in ({k: v for k, v in clip.boxes.items() if k != "cam_1"}, None):
+        tracked = list(track(frame_sets(images), clip.rig, boxes))
+        assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
+        error = errors(tracked, clip.truth)
+        assert error[:, 0].max() < HALF_DEGREE
+        assert error[:, 1].max() < 2.8
+        seen = inliers(tracked)[:, 1]
+        assert not seen[[0, 4, 5]].any()
+        assert seen[7] > 20
+        assert_valid(tracked)
+
+
+def test_a_black_camera(clip: Clip) -> None:
+    images = [(a, np.zeros_like(b), c) for a, b, c in clip.images]
+    tracked = list(track(frame_sets(images), clip.rig, clip.boxes))
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
+    assert errors(tracked, clip.truth)[:, 0].max() < 0.8
+    assert not inliers(tracked)[:, 1].any()
+    assert_valid(tracked)
+
+
+def test_a_camera_that_shows_something_else(clip: Clip) -> None:
+    rng = np.random.default_rng(0)
+    noise = [rng.integers(0, 255, (240, 320, 3)).astype(np.uint8) for _ in clip.images]
+    images = [(a, n, c) for (a, _, c), n in zip(clip.images, noise, strict=True)]
+    tracked = list(track(frame_sets(images), clip.rig, clip.boxes))
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
+    assert errors(tracked, clip.truth)[:, 0].max() < 0.8
+
+
+@pytest.mark.parametrize("method", ["landmarks", "epipolar"])
+def test_all_cameras_gone_for_a_while(clip: Clip, method: str) -> None:
+    gone = (4, 5)
+    images: list[Images] = [(None,) * 3 if k in gone else frame for k, frame in enumerate(clip.images)]
+    tracked = list(track(frame_sets(images), clip.rig, clip.boxes, method=method))
+    expected = [*[FrameStatus.TRACKED] * 3, *[FrameStatus.COASTING] * 2, FrameStatus.RELOCALISED, FrameStatus.TRACKED]
+    assert statuses(tracked) == [FrameStatus.FIRST, *expected]
+    assert_valid(tracked)
+    assert np.median(errors(tracked, clip.truth)[:, 0]) < HALF_DEGREE
+
+
+@pytest.mark.parametrize(("nothing", "with_boxes"), [(None, True), (None, False), (BLACK, True)])
+def test_nothing_to_be_seen_at_first(clip: Clip, nothing: Image | None, with_boxes: bool) -> None:
+    images: list[Images] = [(nothing,) * 3, (nothing,) * 3, *clip.images[:4]]
+    tracked = list(track(frame_sets(images), clip.rig, clip.boxes if with_boxes else None))
+    assert statuses(tracked) == [FrameStatus.TOO_FEW_MATCHES] * 2 + [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 3
+    found = [replace(f, pose=replace(f.pose, index=f.pose.index - 2)) for f in tracked[2:]]
+    assert errors(found, clip.truth)[:, 0].max() < HALF_DEGREE
+
+
+def test_nothing_to_be_seen_at_all(clip: Clip) -> None:
+    images: list[Images] = [(None,) * 3] * 3
+    for boxes in (clip.boxes, None):
+        tracked = list(track(frame_sets(images), clip.rig, boxes))
+        assert len(tracked) == 3
+        assert all(f.pose.world_from_object is None for f in tracked)
+        assert_valid(tracked)
+
+
+def test_an_object_that_comes_into_view_of_a_camera(clip: Clip) -> None:
+    """cam_1's image is cut off so that the object is outside of it at first, and moves in."""
+    camera = clip.rig.cameras[1]
+    places = [camera.project(clip.truth.world_from_object[k].apply(clip.truth.vertices))[:, 0] for k in range(FRAMES)]
+    to_the_right = places[-1].max() > places[0].max()
+    cut = int(np.ceil(places[0].max() if to_the_right else places[0].min()))
+    part = slice(cut, None) if to_the_right else slice(None, cut)
+    matrix = camera.matrix.copy()
+    matrix[0, 2] -= cut if to_the_right else 0
+    size = (SIZE[0] - cut if to_the_right else cut, SIZE[1])
+    narrow = Camera(camera.name, size, matrix, camera.distortion, camera.camera_from_world)
+    rig = Rig([clip.rig.cameras[0], narrow, clip.rig.cameras[2]])
+    images = [(a, np.ascontiguousarray(b[:, part]), c) for a, b, c in clip.images]
+    boxes = {name: box for name, box in clip.boxes.items() if name != narrow.name}
+    tracked = list(track(frame_sets(images), rig, boxes))
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
+    assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
+    seen = inliers(tracked)[:, 1]
+    assert seen[1] < 5
+    assert seen[-1] > 10
+
+
+@pytest.mark.parametrize("names", [("cam_0", "cam_2"), ("cam_0", "cam_1")])
+def test_two_cameras_with_boxes(clip: Clip, names: tuple[str, str]) -> None:
+    """What two boxes allow is much deeper than the object, which must not be taken at face value."""
+    rig = clip.rig.subset(names)
+    picked = [clip.rig.names.index(name) for name in names]
+    images = [tuple(frame[c] for c in picked) for frame in clip.images[:5]]
+    tracked = list(track(frame_sets(images), rig, {name: clip.boxes[name] for name in names}))
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 4
+    assert errors(tracked, clip.truth)[:, 0].max() < (0.5 if names[1] == "cam_2" else 2)
+
+
+def test_a_camera_that_comes_back_takes_part_at_once(clip: Clip) -> None:
+    images: list[Images] = [(a, None if k < 3 else b, c) for k, (a, b, c) in enumerate(clip.images)]
+    boxes = {name: box for name, box in clip.boxes.items() if name != "cam_1"}
+    seen = inliers(list(track(frame_sets(images), clip.rig, boxes)))[:, 1]
+    assert not seen[:3].any()
+    assert (seen[5:] > 20).all()
+
+
+# --- something else that moves
+
+
+NOWHERE = RigidTransform.from_translation([0, 9, 0])
+
+
+@pytest.mark.parametrize("sides", [(0.11, 0.13, 0.01), (0.25, 0.3, 0.2)])
+def test_something_passes_in_front(sides: tuple[float, float, float]) -> None:
+    """Small, and as large as the object: it hides it from some cameras and has features of its own."""
+
+    def crossing(frame: float) -> RigidTransform:
+        return turned(2 * frame, [-0.5 + 0.05 * frame, -0.02, -0.4])
+
+    clip = Clip.render(moving_scene(drifting, 20, [Actor(slab(sides, 30), crossing)]))
+    tracked = list(track(clip.frames(), clip.rig, clip.boxes))
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 19
+    error = errors(tracked, clip.truth)
+    assert error[:, 0].max() < 0.8
+    assert error[:, 1].max() < 4
+
+
+@pytest.mark.parametrize(("gap", "seed"), [(0, 12), (4, 11)])
+def test_another_body_in_its_place_is_not_taken_for_it(gap: int, seed: int) -> None:
+    """Of the same shape and with other pictures on it."""
+    extent = np.ptp(moving_scene(drifting, 1).actors[0].body.vertices, axis=0)
+    other = chamfered_box(extent, 430, seed=seed)
+
+    def path(frame: float) -> RigidTransform:
+        return turned(3 * frame) if frame < 8 else NOWHERE
+
+    def others(frame: float) -> RigidTransform:
+        return NOWHERE if frame < 8 + gap else turned(3 * frame)
+
+    clip = Clip.render(moving_scene(path, 12 + gap, [Actor(other, others)]))
+    tracked = list(track(clip.frames(), clip.rig, clip.boxes))
+    assert set(statuses(tracked[8:])) <= {FrameStatus.COASTING, FrameStatus.LOST, FrameStatus.ONLY_STILL}
+
+
+def test_an_unknown_side_is_not_taken_for_a_known_one() -> None:
+    """It comes back turned about the vertical by half of a turn."""
+
+    def path(frame: float) -> RigidTransform:
+        if frame < 8:
+            return turned(3 * frame)
+        return NOWHERE if frame < 12 else RigidTransform.from_rotation(Rotation.from_rotvec([0, np.pi, 0]))
+
+    clip = Clip.render(moving_scene(path, 16, n_cameras=3))
+    tracked = list(track(clip.frames(), clip.rig, clip.boxes))
+    assert set(statuses(tracked[8:])) <= {FrameStatus.COASTING, FrameStatus.LOST, FrameStatus.ONLY_STILL}
