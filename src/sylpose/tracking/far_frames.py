@@ -9,6 +9,8 @@ contradicts the path, the path is bent to agree with it, as another start of the
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -22,38 +24,46 @@ from sylpose.two_frames.motion import estimate_motion
 
 __all__ = ["another_path"]
 
-# Two frames are compared where so many landmarks are seen in both of them, by two cameras at least (choice).
-SHARED, CAMERAS = 40, 2
+# Of a path of fewer frames nothing is asked: what few frames agree on, the next may not (choice).
+LEAST = 16
+# Two frames are compared where so many landmarks are seen in both of them, by two cameras at least; and believed where so
+# large a share of these agree on the motion (choice).
+SHARED, CAMERAS, AGREED = 60, 2, 0.75
 # A motion contradicts a path where it excludes the path's (chi-squared, once in a thousand times), and is off by more than
 # this turn, radians, or share of the object's radius: what matters less is the refinement's to find (choice).
 EXCLUDED = chi_squared_bound(6)
 TURN, SHIFT = np.deg2rad(0.5), 0.03
-# Links of a path that are asked, at most (choice).
-LINKS = 6
+# Links of a path that are asked, about; those of so many frames in two halves (choice).
+LINKS, LONG = 6, 8
 
 
 def another_path(rig: Rig, seen: Observations, path: RigidTransform, radius: float) -> RigidTransform | None:
     """The path (N poses), bent to agree with the motions between frames that are far apart; None where these do not
     contradict it.
 
-    From the last frame on, each link leads to the earliest frame that shares enough landmarks.
+    From the last frame on, each link leads to the earliest frame that shares enough landmarks; what is halfway is asked as
+    well.
 
     Args:
         radius: of the object.
     """
-    links: list[tuple[int, int, FloatArray | None]] = []
-    later = len(path) - 1
-    while later > 0 and len(links) < LINKS:
-        earlier = _earliest(seen, later)
+    if len(path) < LEAST:
+        return None
+    nodes = [len(path) - 1]
+    while nodes[-1] > 0 and len(nodes) <= LINKS:
+        earlier = _earliest(seen, nodes[-1])
         if earlier is None:
             break
-        links.append((earlier, later, _off(rig, seen, path, earlier, later, radius)))
-        later = earlier
-    if not any(off is not None for _, _, off in links):
+        if nodes[-1] - earlier >= LONG:
+            nodes.append((earlier + nodes[-1]) // 2)
+        nodes.append(earlier)
+    pairs = list(pairwise(reversed(nodes)))
+    offs = [_off(rig, seen, path, *pair, radius) for pair in pairs]
+    if all(off is None for off in offs):
         return None
     poses = list(path)
     # From the first link on; what is before it stays.
-    for earlier, later, off in reversed(links):
+    for (earlier, later), off in zip(pairs, offs, strict=True):
         poses[earlier + 1 :] = _bent(path, poses[earlier], earlier, later, off)
     return RigidTransform.concatenate(poses)
 
@@ -89,6 +99,8 @@ def _off(
     matches += [Matches.none()] * (len(rig) - len(matches))
     found = estimate_motion(rig, matches, center=path[earlier].translation, radius=radius)
     if found.status is not Status.OK or found.motion is None or found.faults or found.second > 0.0:
+        return None
+    if found.n_inliers.sum() < AGREED * sum(len(m) for m in matches):
         return None
     should = found.motion * path[earlier]
     turn = (should.rotation * path[later].rotation.inv()).as_rotvec()
