@@ -96,6 +96,15 @@ def test_where_all_contradict_each_other_nobody_is_named() -> None:
     assert disagreements(said(pair)) == []
 
 
+def test_where_cameras_take_turns_nobody_was_moved() -> None:
+    """All are calibrated a little off: now one is doubted and now another, one of them more often."""
+    doubt = doubts()
+    doubt[12:, 2] = 9.0
+    assert [d.camera for d in disagreements(said(doubt))] == ["cam_2"]
+    doubt[22::5, 2], doubt[22::5, 0] = 1.0, 9.0
+    assert disagreements(said(doubt)) == []
+
+
 def test_two_times_are_two() -> None:
     doubt = doubts()
     doubt[5:15, 3] = doubt[15 + AT_EASE + 1 :, 3] = 20.0
