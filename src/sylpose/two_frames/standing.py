@@ -39,6 +39,8 @@ SIGMA_PX = (0.02, 3.0)
 # Rounds of two kinds of displacements, and of the mixture, at most, which has settled where no more than this of a match
 # changes sides (choice).
 APART, ROUNDS, SETTLED = 50, 15, 0.02
+# What moves is no noisier than this times what stands still, which may be exact: two frames of a pause (choice).
+NOISIER, EXACT_PX = 5.0, 0.1
 # A motion is another's start where it is within three of its standard deviations (choice).
 NEAR = 9.0
 # By how much a mixture must be likelier than one motion (measured: docs/benchmarks.md#hard-pairs; of what moves by 1 to 4 px
@@ -111,7 +113,7 @@ def parted(
         likelier: by how much a background is, as `hidden` has it.
     """
     off = _displacements(stack)
-    if not _may_stand(off, usable):
+    if not _may_stand(stack, off, usable):
         return None
     sigma, still = _two_kinds(off, usable)
     if not still[usable].sum() >= _background(off):
@@ -152,7 +154,7 @@ def hidden(stack: Stack, usable: BoolArray, one: Reweighted) -> tuple[float, flo
     Half of the matches that move by twice as much are the same in the mean, and more scattered.
     """
     off = _displacements(stack)
-    if not _may_stand(off, usable):
+    if not _may_stand(stack, off, usable):
         return 1.0, -np.inf
     standing = _standing(off, float(np.median(one.sigma_px)))
     larger = nothing_yet(stack)
@@ -192,9 +194,11 @@ def _displacements(stack: Stack) -> FloatArray:
     return np.asarray(squares * np.repeat(stack.focal**2, np.diff(stack.offsets)))
 
 
-def _may_stand(off: FloatArray, usable: BoolArray) -> bool:
-    """Whether so many matches have moved by so little that a background may be among them."""
-    return bool((usable & (off < QUIET_PX**2)).sum() >= _background(off))
+def _may_stand(stack: Stack, off: FloatArray, usable: BoolArray) -> bool:
+    """Whether so many matches have moved by so little that a background may be among them. Of terms with other references
+    than the motion's (earlier frames, moved along by what is known) a displacement says nothing of it."""
+    own = np.array_equal(stack.qx, stack.qy) and np.array_equal(stack.a1, stack.a2)
+    return own and bool((usable & (off < QUIET_PX**2)).sum() >= _background(off))
 
 
 def _background(off: FloatArray) -> float:
@@ -256,7 +260,10 @@ def _is_near(found: Reweighted, start: Reweighted) -> bool:
 
 
 def _holds(stack: Stack, usable: BoolArray, mixture: _Mixture) -> bool:
-    """Whether enough of what does not stand still has the motion, and more than would by chance."""
+    """Whether enough of what does not stand still has the motion, more than would by chance, and about as exactly as what
+    stands still does."""
+    if float(np.median(mixture.found.sigma_px)) > NOISIER * max(mixture.sigma, EXACT_PX):
+        return False
     others = usable & (mixture.still < 0.5)
     found = mixture.found._replace(weights=np.where(others, mixture.found.weights, 0.0))
     return bool(mixture.moving.sum() >= LEAST and is_consistent(stack, others, found))
