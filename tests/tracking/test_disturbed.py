@@ -29,14 +29,7 @@ from tests.clips import (
     slab,
     statuses,
     turned,
-    turning_clip,
 )
-
-
-@pytest.fixture(scope="module")
-def clip() -> Clip:
-    return turning_clip()
-
 
 # --- cameras that fail
 

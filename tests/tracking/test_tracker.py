@@ -37,13 +37,7 @@ from tests.clips import (
     rested,
     statuses,
     tracked_turning,
-    turning_clip,
 )
-
-
-@pytest.fixture(scope="module")
-def clip() -> Clip:
-    return turning_clip()
 
 
 @pytest.fixture(scope="module")

@@ -87,8 +87,7 @@ def larger_body(data: Sequence[TermData], solved: Solved, solve: Solve) -> Bodie
     larger, smaller = (first, second) if counts[0] >= counts[1] else (second, first)
     # About the same centre: both were solved for a place of their own.
     shift = smaller.fit.shift + (smaller.fit.rotation - np.eye(3)) @ (larger.center - smaller.center)
-    smaller = Solved(replace(smaller.fit, shift=shift), larger.center, smaller.radius)
-    between = fit_apart(data, larger.center, larger.radius, larger.fit, smaller.fit)
+    between = fit_apart(data, larger.center, larger.radius, larger.fit, replace(smaller.fit, shift=shift))
     share = min(counts) / max(counts)
     if between is not None and between[0].status is Status.OK and not between[0].mixed:
         larger, having = larger._replace(fit=between[0]), between[1]

@@ -21,7 +21,7 @@ import numpy as np
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
 from sylpose.two_frames.likelihoods import WRONG, anywhere, cost_of, going
-from sylpose.two_frames.reweight import Reweighted, nothing_yet, reweight
+from sylpose.two_frames.reweight import SIGMA_FLOOR_PX, Reweighted, nothing_yet, reweight
 from sylpose.two_frames.terms import Stack
 
 __all__ = ["Apart", "alike", "apart", "is_mixed"]
@@ -38,10 +38,10 @@ JUDGED = 8
 ALIKE, ALIKE_AT_LEAST = 5.0, 0.15
 # ... and what they share is more than this, pixels: less is rounding, lenses and keypoints (choice).
 ALIKE_PX = 0.1
-# Rounds of a mixture, at most, which has settled where no more than this of a match changes sides; and noise is never less,
-# pixels, nor less than so much of the other's (choice).
+# Rounds of a mixture, at most, which has settled where no more than this of a match changes sides; and one motion's noise is
+# not less than so much of the other's (choice).
 ROUNDS, SETTLED = 40, 0.02
-SIGMA_LEAST_PX, LESS_NOISE = 0.02, 0.9
+LESS_NOISE = 0.9
 
 
 @kernel
@@ -112,7 +112,7 @@ def apart(stack: Stack, starts: Sequence[tuple[FloatArray, FloatArray]], inliers
     promises, iterations = [np.inf, np.inf], 0
     for k, ((rotation, shift), mine) in enumerate(zip(starts, inliers, strict=True)):
         found[k].candidate.rotation[:], found[k].candidate.shift[:] = rotation, shift
-        iterations += reweight(stack, (mine & ~inliers[1 - k]).astype(float), found[k], SIGMA_LEAST_PX)[0]
+        iterations += reweight(stack, (mine & ~inliers[1 - k]).astype(float), found[k], SIGMA_FLOOR_PX)[0]
     shares, wrong, every = np.full(2, 0.5), anywhere(stack), np.ones(len(stack.x), dtype=bool)
     for _ in range(ROUNDS):
         each = np.stack([share * (1.0 - WRONG) * going(stack, f) for share, f in zip(shares, found, strict=True)])

@@ -73,8 +73,9 @@ def fit_terms(
         else nothing_yet(stack)
     )
     larger, likelier = hidden(stack, usable, one)
-    stand = one.weights.any() and stands_still(stack, one, one.information) and not some_move(stack, usable, one)
-    part = None if stand else parted(stack, usable, one, likelier, guesses_of(guesses), rng)
+    part = None
+    if likelier > -np.inf and not _all_stand(stack, usable, one):
+        part = parted(stack, usable, one, likelier, guesses_of(guesses), rng)
     # A mixture that does not settle says nothing against the one motion.
     part = part if part is not None and part.promise < CONVERGED else None
     if part is not None and not part.gain > LIKELIER:
@@ -89,6 +90,11 @@ def fit_terms(
         return no_fit(data, Status.NOT_CONSISTENT)
     fit = _answer(data, stack, radius, found, minima, promise, usable.astype(float), usable, larger)
     return replace(fit, iterations=int(iterations))
+
+
+def _all_stand(stack: Stack, usable: BoolArray, one: Reweighted) -> bool:
+    """Whether a motion may be none, and no match has moved."""
+    return bool(one.weights.any()) and stands_still(stack, one, one.information) and not some_move(stack, usable, one)
 
 
 def fit_apart(
@@ -146,9 +152,9 @@ def _answer(
     freedom = int((weights > 0).sum()) - 6
     known = max(freedom - 2, 1) / freedom
     bent = bend(stack, having, found, radius)
-    both = known * _without_noise(np.stack([information, without_depth]), noise)
+    both = known * _without(np.stack([information, without_depth]), noise, 2.0)
     if ((having > 0.0) & (having < 1.0)).any():
-        both = _without(both, known * missing(stack, found, having))
+        both = _without(both, known * missing(stack, found, having), 1.0)
     information, without_depth = less_certain(both[0], bent), less_certain(both[1], bent)
     other = None
     if stands_still(stack, found, information):
@@ -201,11 +207,11 @@ def _least_turned(
     return (again, float(promise)) if cost_again < cost + LESS_LIKELY else None
 
 
-def _without_noise(information: FloatArray, noise: FloatArray) -> FloatArray:
-    """Informations (k, 6, 6) less the part that noise alone put there.
+def _without(information: FloatArray, part: FloatArray, power: float) -> FloatArray:
+    """Informations (k, 6, 6) less a part (6, 6) that tells nothing.
 
-    With both as quadratic forms in axes where the information is the identity: (1 - ν)² of each axis is left, the
-    sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A trace always stays.
+    With both as quadratic forms in axes where the information is the identity: 1 - ν of each axis is left, to the power.
+    Of what noise put there the second: the sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A trace always stays.
     """
     sizes = np.diagonal(information, axis1=1, axis2=2)
     largest = sizes.max(axis=1, keepdims=True)
@@ -215,22 +221,9 @@ def _without_noise(information: FloatArray, noise: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(information * (unit[:, :, None] * unit[:, None, :]))
     root = np.sqrt(np.maximum(values, 1e-14 * values[:, -1:]))[:, None, :]
     to_identity = unit[:, :, None] * vectors / root
-    spoilt, axes = np.linalg.eigh(transpose(to_identity) @ noise @ to_identity)
-    half = (vectors * root / unit[:, :, None]) @ axes * np.clip(1.0 - spoilt, 1e-3, 1.0)[:, None, :]
+    spoilt, axes = np.linalg.eigh(transpose(to_identity) @ part @ to_identity)
+    half = (vectors * root / unit[:, :, None]) @ axes * (np.clip(1.0 - spoilt, 1e-3, 1.0) ** (0.5 * power))[:, None, :]
     return np.asarray(half @ transpose(half))
-
-
-def _without(information: FloatArray, missing: FloatArray) -> FloatArray:
-    """Informations (k, 6, 6) less what is missing of each (6, 6); a trace always stays."""
-    out = np.empty_like(information)
-    for k, whole in enumerate(information):
-        values, vectors = np.linalg.eigh(whole + 1e-12 * np.trace(whole) * np.eye(6))
-        root = vectors * np.sqrt(values)
-        to_identity = vectors / np.sqrt(values)
-        shares, axes = np.linalg.eigh(to_identity.T @ missing @ to_identity)
-        half = root @ axes * np.sqrt(np.clip(1.0 - shares, 1e-3, 1.0))
-        out[k] = half @ half.T
-    return out
 
 
 @kernel

@@ -59,7 +59,8 @@ class Parted(NamedTuple):
 
     Attributes:
         found: of what moves, its weights times the probability that they do.
-        minima, iterations, promise: of `fitted`.
+        minima: where mixtures from several starts came to; iterations: of all.
+        promise: of its last step (`reweight`).
         moving: (N,) the probabilities.
         gain: by how much this is likelier than that all have one motion.
     """
@@ -110,11 +111,9 @@ def parted(
     Args:
         usable: (N,) matches that may be inliers.
         one: the motion of all of them, which may be none.
-        likelier: by how much a background is, as `hidden` has it.
+        likelier: by how much a background is, as `hidden` has it, which finds that there may be one.
     """
     off = _displacements(stack)
-    if not _may_stand(stack, off, usable):
-        return None
     sigma, still = _two_kinds(off, usable)
     if not still[usable].sum() >= _background(off):
         return None
@@ -149,7 +148,8 @@ def parted(
 
 def hidden(stack: Stack, usable: BoolArray, one: Reweighted) -> tuple[float, float]:
     """By how much larger than that of all matches the motion may be, if some of them are a background that stands still: 1
-    where it cannot be larger, and `LARGER`'s last where nothing tells; and by how much likelier a background is than none.
+    where it cannot be larger, and `LARGER`'s last where nothing tells; and by how much likelier a background is than none,
+    minus infinity where there cannot be one.
 
     Half of the matches that move by twice as much are the same in the mean, and more scattered.
     """
