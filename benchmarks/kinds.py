@@ -29,6 +29,7 @@ from benchmarks.kinds_scenes import Kind, Take
 from benchmarks.kinds_solvable import unsolved_but_solvable
 from benchmarks.kinds_thorough import LARGE, THOROUGH
 from sylpose import FramePose, FrameStatus, track
+from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray
 from sylpose.smoothing.trajectory import Track, smooth
 
@@ -77,19 +78,28 @@ class Result:
     length_sds: float
 
 
-def run(kind: str, seed: int, features: str, *, smoothed: bool = False) -> tuple[Result, list[FramePose], FloatArray]:
+Run = tuple[Result, list[FramePose], FloatArray]
+
+
+def run(kind: str, seed: int, features: str, *, smoothed: bool = False) -> list[Run]:
     """A variation tracked and compared with the truth.
 
     Returns:
-        the result; the poses; (n, 4) of each frame: degrees, radii and standard deviations off in turn and displacement, NaN
-        without a pose.
+        as the frames came, and if asked for `smoothed`: the result; the poses; (n, 4) of each frame: degrees, radii and
+        standard deviations off in turn and displacement, NaN without a pose.
     """
     take = KINDS[kind](np.random.default_rng([seed, *kind.encode()]))
     frames = list(take.frames())
     tracked = list(track(frames, take.scene.rig, take.boxes, features=features, seed=seed))
-    poses = [frame.pose for frame in tracked]
+    runs = [judged(kind, seed, features, take, frames, [frame.pose for frame in tracked])]
     if smoothed:
         poses = list(smooth([Track.of(frame) for frame in tracked], take.scene.rig).poses)
+        runs.append(judged(kind, seed, f"{features}, smoothed", take, frames, poses))
+    return runs
+
+
+def judged(kind: str, seed: int, how: str, take: Take, frames: list[FrameSet], poses: list[FramePose]) -> Run:
+    """The poses of a variation compared with the truth."""
     errors, nees = compared(take, poses)
     found = np.array([p.status in FOUND for p in poses])
     wrong = (errors[:, 0] > WRONG_DEG) & (errors[:, 2] > SURE) | (errors[:, 1] > WRONG_RADII) & (errors[:, 3] > SURE)
@@ -100,7 +110,7 @@ def run(kind: str, seed: int, features: str, *, smoothed: bool = False) -> tuple
     result = Result(
         kind,
         seed,
-        features,
+        how,
         len(poses),
         int(found.sum()),
         first,
@@ -219,7 +229,7 @@ def main() -> None:
     parser.add_argument("--group", choices=list(GROUPS), action="append", default=[])
     parser.add_argument("--seeds", default="0:5", help="first:end")
     parser.add_argument("--features", nargs="+", default=["auto"], choices=["auto", "klt", "sift"])
-    parser.add_argument("--smooth", action="store_true", help="the poses refined together")
+    parser.add_argument("--smooth", action="store_true", help="the poses refined together, too")
     parser.add_argument("--each", action="store_true", help="a line for each variation")
     parser.add_argument("--frames", action="store_true", help="a line for each frame")
     parser.add_argument("--json", type=Path, metavar="FILE")
@@ -234,18 +244,19 @@ def main() -> None:
     everything = []
     for name in names or [name for name in KINDS if name not in LARGE]:
         for features in asked.features:
-            results = []
+            results: dict[str, list[Result]] = {}
             for seed in seeds:
-                result, poses, errors = run(name, seed, features, smoothed=asked.smooth)
-                results.append(result)
-                if asked.each:
-                    print(line([result]), result.statuses, flush=True)
-                if asked.frames:
-                    for pose, e in zip(poses, errors, strict=True):
-                        print(pose.index, pose.status.value, np.round(e, 3), pose.inliers, flush=True)
-            everything += results
-            if len(results) > 1 or not asked.each:
-                print(line(results), flush=True)
+                for result, poses, errors in run(name, seed, features, smoothed=asked.smooth):
+                    results.setdefault(result.features, []).append(result)
+                    if asked.each:
+                        print(line([result]), result.statuses, flush=True)
+                    if asked.frames:
+                        for pose, e in zip(poses, errors, strict=True):
+                            print(pose.index, pose.status.value, np.round(e, 3), pose.inliers, flush=True)
+            for of_all in results.values():
+                everything += of_all
+                if len(of_all) > 1 or not asked.each:
+                    print(line(of_all), flush=True)
     if asked.json:
         asked.json.write_text(json.dumps([asdict(result) for result in everything], indent=1) + "\n")
 

@@ -25,7 +25,7 @@ ALLOWED: dict[str, set[str]] = {
     **dict.fromkeys(PARTS, NOUNS),
     "two_frames": NOUNS | {"paper"},
     "landmarks": NOUNS | {"features"},
-    "adjustment": NOUNS | {"features", "landmarks"},
+    "adjustment": NOUNS | {"features", "known_model", "landmarks"},
     "tracking": NOUNS | PARTS | {"two_frames", "landmarks", "adjustment"},
     "smoothing": NOUNS | PARTS | {"two_frames", "landmarks", "adjustment", "tracking"},
     "calibration": NOUNS,

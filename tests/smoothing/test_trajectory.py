@@ -87,7 +87,8 @@ def see(
     visible = np.flatnonzero(facing > 0.25 * np.linalg.norm(to_camera, axis=1))
     local = c.camera_from_world.apply(points[visible])
     image = local[:, :2] / local[:, 2:] + noise_px / c.focal * rng.standard_normal((len(visible), 2))
-    return Sightings(first + visible, image, POINTS[visible] + 0.01 * rng.standard_normal((len(visible), 3)))
+    place = POINTS[visible] + 0.01 * rng.standard_normal((len(visible), 3))
+    return Sightings(first + visible, image, place, np.ones(len(visible), bool))
 
 
 def errors(smoothed: Smoothed) -> FloatArray:
@@ -125,7 +126,7 @@ def test_smoothing_may_know_how_a_frame_is_turned_that_tracking_did_not() -> Non
 
 def test_an_uncertain_frame_that_ties_nothing_keeps_its_pose_and_its_doubt() -> None:
     # On a curve through its neighbours it would be as sure as they are.
-    blind = (Sightings(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3))),) * len(RIG)
+    blind = (Sightings(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty(0, bool)),) * len(RIG)
     frames = [replace(hardly_known(f, 8.0), sightings=blind) if 8 <= k < 16 else f for k, f in enumerate(tracked())]
     found = smooth(frames, RIG)
     for k in range(8, 16):
@@ -291,12 +292,49 @@ def test_rarely_seen_landmarks_count_where_there_are_no_others() -> None:
     # 200 landmarks seen in frames 0 to 9; 50 seen in frames 0 and 1; 50 in frames 9 and 10; 50 seen once.
     landmark = np.concatenate([np.tile(np.arange(200), 10), *[np.arange(n, n + 50) for n in (200, 200, 250, 250, 300)]])
     frame = np.concatenate([np.repeat(np.arange(10), 200), np.repeat([0, 1, 9, 10, 3], 50)])
-    used = _worth_using(frame.astype(np.int64), landmark.astype(np.int64))
+    used = _worth_using(frame.astype(np.int64), landmark.astype(np.int64), np.ones(350, bool))
     counts = np.bincount(landmark, used, minlength=350)
     assert (counts[:200] == 10).all()
     assert not counts[200:250].any()
     assert (counts[250:300] == 2).all()
     assert not counts[300:].any()
+
+
+def test_what_never_moved_counts_where_there_is_hardly_anything_else() -> None:
+    """Seldom seen, it may be background: 90 landmarks in frames 0 to 9; in frames 8 to 11, 60 that never moved and 60 that
+    did; in frames 12 and 13 ten that never moved, the only ones there."""
+    often, seldom = np.repeat(np.arange(10), 90), np.repeat(np.arange(8, 12), 60)
+    landmark = np.concatenate([np.tile(np.arange(90), 10), *[np.tile(np.arange(n, n + 60), 4) for n in (100, 200)]])
+    landmark = np.concatenate([landmark, np.tile(np.arange(300, 310), 2)]).astype(np.int64)
+    frame = np.concatenate([often, seldom, seldom, np.repeat([12, 13], 10)]).astype(np.int64)
+    moved = np.arange(310) >= 200
+    moved[300:] = False
+    counts = np.bincount(landmark, _worth_using(frame, landmark, moved), minlength=310)
+    assert (counts[:90] == 10).all()  # often: whether it moved or not
+    assert not counts[100:160].any()
+    assert (counts[200:260] == 4).all()
+    assert (counts[300:] == 2).all()
+
+
+def test_a_frame_that_contradicts_all_others_is_carried_along_as_tracked() -> None:
+    """What the tracker said of it stands, with its uncertainty, where its neighbours went."""
+    frames, k, rng = tracked(), 14, np.random.default_rng(5)
+    junk = [replace(s, normalized=rng.uniform(-0.1, 0.1, s.normalized.shape)) for s in frames[k].sightings]
+    frames[k] = replace(frames[k], sightings=tuple(junk))
+    found = smooth(frames, RIG)
+    assert found.status is Status.OK
+    before, now = frames[k - 1].pose.world_from_object, found.poses[k - 1].world_from_object
+    told, kept = frames[k].pose.world_from_object, found.poses[k].world_from_object
+    assert before is not None
+    assert now is not None
+    assert told is not None
+    assert kept is not None
+    expected = now * before.inv() * told
+    np.testing.assert_allclose(kept.as_matrix(), expected.as_matrix(), atol=1e-12)
+    np.testing.assert_array_equal(found.poses[k].covariance, frames[k].pose.covariance)
+    assert found.poses[k].status is FrameStatus.TRACKED
+    others = np.delete(errors(found), k, axis=0)
+    assert np.abs(others[:, :3]).max() < np.deg2rad(0.15)
 
 
 def test_a_track_keeps_no_images() -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 
 from benchmarks.robust_pairs import SETTINGS, Outcome, exchanged, of_four, outcome, scene, turned
 from sylpose.matches import Matches
 from sylpose.results import Status
+from sylpose.two_frames import standing
 from sylpose.two_frames.motion import estimate_motion
 
 
@@ -68,6 +72,38 @@ def test_what_moves_by_little_is_told_from_a_standing_background() -> None:
     assert 2.0 < nees_of_ok(found) < 12.0
     few = outcomes("static 80 %, moves 2 px", 10)
     assert all(o.status is not Status.NO_MOTION for o in few)
+
+
+@pytest.mark.parametrize(("n", "few"), [(100, 6), (300, 10)])
+def test_hardly_anything_moves(n: int, few: int) -> None:
+    """Nearly all matches stand still, more than are ever taken to be right; some few move as one body does."""
+    for seed in range(4):
+        still, rig = scene(SETTINGS["stands still, 300 matches"], seed)
+        moving, _ = scene(SETTINGS["before nothing, moves 4 px"], seed)
+        pairs = zip(still.matches, moving.matches, strict=True)
+        matches = [Matches(np.vstack([a.x[:n], b.x[:few]]), np.vstack([a.y[:n], b.y[:few]])) for a, b in pairs]
+        assert not outcome(estimate_motion(rig, matches), moving.motion).wrong
+
+
+def test_a_mixture_may_begin_with_all_standing_still(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[Any, ...]] = []
+    original: Callable[..., Any] = standing._mixture
+
+    def mixture(*given: Any) -> Any:
+        asked.append(given)
+        return original(*given)
+
+    monkeypatch.setattr(standing, "_mixture", mixture)
+    pair, rig = scene(SETTINGS["static 60 %, moves 2 px"], 0)
+    estimate_motion(rig, pair.matches)
+    *given, still = asked[0]
+    begun = original(*given, np.ones(len(still)))
+    assert begun.cost == pytest.approx(original(*given, still).cost, abs=1.0)
+    # What went on from there is forgiven: the first round may not be.
+    monkeypatch.setattr(standing, "ROUNDS", 1)
+    begun = original(*given, np.ones(len(still)))
+    for probabilities in (begun.moving, begun.still):
+        assert ((probabilities >= 0.0) & (probabilities <= 1.0)).all()
 
 
 @pytest.mark.parametrize("row", ["static 30 %, moves 2 px", "static 60 %, moves 2 px", "before nothing, moves 1 px"])

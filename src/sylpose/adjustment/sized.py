@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.adjustment.bundle import Bundled, Observations, bundle
+from sylpose.adjustment.given_up import counted_of, found_again
 from sylpose.adjustment.problem import CUTOFF
 from sylpose.adjustment.shared import SURFACE_RADII, on_surface
 from sylpose.adjustment.spread import bent
@@ -65,6 +66,12 @@ def bundle_sized(
         second = bundle(rig, seen, other, radius, **{**options, "landmarks": None})
         if _likelier(second, found, seen):
             found, rivals = second, np.zeros_like(rivals)
+    fixed = options.get("fixed")
+    again = found_again(rig, seen, found, np.arange(len(rivals)) == 0 if fixed is None else np.asarray(fixed))
+    if again is not None:
+        second = bundle(rig, seen, again, radius, **{**options, "landmarks": found.landmarks})
+        if _likelier(second, found, seen):
+            found = second
     surfaces = _surfaces(rig, seen, found, radius) if len(rig) > 1 and length_is_open(found) else None
     if surfaces is not None:
         again = {**options, "landmarks": found.landmarks, "surfaces": surfaces}
@@ -83,7 +90,7 @@ def _of_two_starts(
         return found, none
     standing = RigidTransform.from_components(world_from_object.translation, first)
     other = bundle(rig, seen, standing, radius, **{**options, "landmarks": None, "surfaces_stay": True})
-    counted = np.bincount(seen.landmark)[seen.landmark] > 1
+    counted = counted_of(seen)
     if gives_up(other, found, seen, counted):
         return found, none
     costs = _costs(found, other, seen, counted)
@@ -102,7 +109,7 @@ def _of_two_starts(
 
 def _likelier(one: Bundled, other: Bundled, seen: Observations) -> bool:
     """Whether one explains more of the observations than another, and gives no frame up for it."""
-    counted = np.bincount(seen.landmark)[seen.landmark] > 1
+    counted = counted_of(seen)
     costs = _costs(one, other, seen, counted)
     return costs[0] < costs[1] and not gives_up(one, other, seen, counted)
 

@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform, RotationSpline
 
 from sylpose.adjustment.bundle import Bundled, Observations
 from sylpose.adjustment.calibration import MOVED_SHARE, Correction, Doubt, Moved, apart, with_moved
+from sylpose.adjustment.given_up import given_up
 from sylpose.adjustment.sized import bundle_sized, length_is_open
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import FramePose, Observable, Status
@@ -29,8 +30,8 @@ __all__ = ["Smoothed", "Track", "smooth"]
 
 # Landmarks seen less often than this tell next to nothing of the motion, and that with a bias: features that slide
 # along an edge or were confused are lost soon. They are used, the longer ones first, by frames with less than so many
-# sights (choice).
-OFTEN, ENOUGH = (8, 5, 2), 100
+# sights; those that were never seen to move by frames that have hardly any, so many (choice).
+OFTEN, ENOUGH, FEW = (8, 5, 2), 100, 30
 # Measured poses on each side of a gap that the curve through it goes by (choice).
 AROUND = 3
 
@@ -65,7 +66,8 @@ class Smoothed:
 
     Attributes:
         poses: of all frames; those that nothing ties to the first are as they were. Coasting ones go between what was
-            measured before and after them, or, where one of it is missing, are carried along with what was before.
+            measured before and after them. Where one of it is missing, or most of what a frame saw contradicts the others,
+            poses as tracked are carried along with what was before.
         status: OK; NOT_CONVERGED; TOO_FEW_MATCHES when there was nothing to refine: then the poses are as they were.
         offsets: (C,) seconds by which each camera is late, their mean 0, and offsets_sd: (C,) their standard deviations;
             zeros when not asked for.
@@ -129,8 +131,8 @@ def smooth(
     moves: tuple[Moved, ...] = ()
     if doubt is not None:
         nudged = _nudged(frames[used[-1]], rig)
-        told = {(m.camera, m.frame): m for m in (*moved, *nudged)}
-        moves = tuple(sorted(told.values(), key=lambda m: m.frame))
+        stood = {(m.camera, m.frame): m for m in (*moved, *nudged)}
+        moves = tuple(sorted(stood.values(), key=lambda m: m.frame))
         wider, doubt = with_moved(rig, doubt, moves)
         index = np.array([frames[k].pose.index for k in used])[seen.frame]
         for i, m in enumerate(moves):
@@ -157,10 +159,12 @@ def smooth(
     if bundled.status is not Status.TOO_FEW_MATCHES:
         open_length = length_is_open(bundled)
         counts, residuals = _per_camera(bundled, seen, len(used), len(rig))
-        refined = np.zeros(len(frames), bool)
-        refined[[k for i, k in enumerate(used) if bundled.tied[i]]] = True
+        contradicted = given_up(bundled, seen)
+        contradicted[0] = False
+        refined, astray = np.zeros((2, len(frames)), bool)
+        refined[used], astray[used] = bundled.tied & ~contradicted, bundled.tied & contradicted
         for i, k in enumerate(used[1:], start=1):
-            if bundled.tied[i]:
+            if refined[k]:
                 poses[k] = replace(
                     poses[k],
                     world_from_object=bundled.world_from_object[i],
@@ -169,7 +173,7 @@ def smooth(
                     inliers=counts[i],
                     residuals=residuals[i],
                 ).judged()
-        poses = _with_gaps_filled(poses, [frame.pose for frame in frames], refined)
+        poses = _with_gaps_filled(poses, [frame.pose for frame in frames], refined, astray)
     return Smoothed(
         tuple(poses),
         bundled.status,
@@ -212,7 +216,7 @@ def _observations(frames: Sequence[Track]) -> tuple[Observations, FloatArray]:
     # Each camera has numbers of its own.
     number = np.concatenate([s.landmark for s in every])
     _, landmark = np.unique(cameras * (number.max(initial=0) + 1) + number, return_inverse=True)
-    used = _worth_using(frame, landmark)
+    used = _worth_using(frame, landmark, np.bincount(landmark, np.concatenate([s.moved for s in every])) > 0)
     _, names = np.unique(landmark[used], return_inverse=True)
     places = np.zeros((int(names.max(initial=-1)) + 1, 3))
     places[names] = np.concatenate([s.place for s in every])[used]  # the last one counts
@@ -220,12 +224,15 @@ def _observations(frames: Sequence[Track]) -> tuple[Observations, FloatArray]:
     return Observations(frame[used], cameras[used], names, image), places
 
 
-def _worth_using(frame: IntArray, landmark: IntArray) -> BoolArray:
-    """(n,) which sights to use: those of landmarks seen often; where that leaves a frame few, of ones seen less often."""
+def _worth_using(frame: IntArray, landmark: IntArray, moved: BoolArray) -> BoolArray:
+    """(n,) which sights to use: those of landmarks seen often; where that leaves a frame few, of ones seen less often, and
+    where that leaves it hardly any, of ones (m,) not known to have moved with the object, too: background is among them."""
     sights, used = np.bincount(landmark)[landmark], np.zeros(len(frame), bool)
-    for least in OFTEN:
-        poor = np.bincount(frame, used) < ENOUGH
-        used |= (sights >= least) & (np.bincount(landmark, poor[frame])[landmark] > 0)
+    on_it = (sights >= OFTEN[0]) | moved[landmark]
+    for counts, enough in ((on_it, ENOUGH), (np.ones_like(on_it), FEW)):
+        for least in OFTEN:
+            poor = np.bincount(frame, used) < enough
+            used |= counts & (sights >= least) & (np.bincount(landmark, poor[frame])[landmark] > 0)
     return used
 
 
@@ -239,16 +246,20 @@ def _per_camera(bundled: Bundled, seen: Observations, n: int, cameras: int) -> t
     return counts.reshape(n, cameras).astype(np.int64), rms.reshape(n, cameras)
 
 
-def _with_gaps_filled(poses: Sequence[FramePose], before: Sequence[FramePose], refined: BoolArray) -> list[FramePose]:
+def _with_gaps_filled(
+    poses: Sequence[FramePose], before: Sequence[FramePose], refined: BoolArray, astray: BoolArray
+) -> list[FramePose]:
     """Coasting poses between two refined ones, with none lost between, go along a curve through what was measured around
-    them; others keep their place relative to the last frame in which the object was seen, before -> now."""
+    them; others, and those that went astray, keep their place relative to the last frame in which the object was seen,
+    before -> now."""
     out = list(poses)
     known = refined & np.array([pose.measured for pose in poses])
-    seen = [k for k, pose in enumerate(before) if pose.seen]
+    seen = [k for k, pose in enumerate(before) if pose.seen and not astray[k]]
     for i, k in enumerate(seen):
         end = seen[i + 1] if i + 1 < len(seen) else len(before)
         gap = [g for g in range(k + 1, end) if before[g].world_from_object is not None]
-        if end < len(before) and known[k] and known[end] and 0 < len(gap) == end - k - 1:
+        coasting = not any(before[g].seen for g in gap)
+        if coasting and end < len(before) and known[k] and known[end] and 0 < len(gap) == end - k - 1:
             around = [m for m in seen[max(0, i + 1 - AROUND) : i + 1 + AROUND] if known[m]]
             for g, pose in zip(gap, _between([poses[m] for m in around], [before[g].time for g in gap]), strict=True):
                 near, far = (k, g - k) if g - k <= end - g else (end, end - g)

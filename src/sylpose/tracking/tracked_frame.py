@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.frames import FrameSet
-from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import FramePose, FrameStatus
 from sylpose.tracking.frame import CameraFrame, Pair
 from sylpose.tracking.joint import Nudge
@@ -25,11 +25,13 @@ class Sightings:
         landmark: (n,) numbers; the same feature of the object seen in several frames by this camera has the same one.
         normalized: (n, 2) where each was seen, undistorted.
         place: (n, 3) where it is on the object, as far as is known by then, object's frame.
+        moved: (n,) whether it is known by then to have moved with the object: else it may be background.
     """
 
     landmark: IntArray
     normalized: FloatArray
     place: FloatArray
+    moved: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,9 @@ def sightings(inliers: Sequence[Pair], current: CameraFrame) -> Sightings:
     used = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in inliers)])
     landmarks = current.landmarks
     index = np.union1d(used, np.flatnonzero(landmarks.seen == 1))
-    return Sightings(landmarks.id[index], current.features.normalized[index], landmarks.mean[index])
+    return Sightings(
+        landmarks.id[index], current.features.normalized[index], landmarks.mean[index], landmarks.moved[index]
+    )
 
 
 def unsolved_frame(

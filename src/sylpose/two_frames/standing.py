@@ -34,8 +34,9 @@ BACKGROUND = 0.08
 # What goes farther does not stand still whatever the noise; what goes farther than the second tells nothing of it, pixels
 # (choice).
 QUIET_PX, FAR_PX = 6.0, 18.0
-# Bounds of what the noise of what stands still may be, pixels (choice).
-SIGMA_PX = (0.02, 3.0)
+# Bounds of what the noise of what stands still may be, pixels, and of its share of all matches, some of which are wrong
+# (choice).
+SIGMA_PX, SHARES = (0.02, 3.0), (1e-3, 0.999 - WRONG)
 # Rounds of two kinds of displacements, and of the mixture, at most, which has settled where no more than this of a match
 # changes sides (choice).
 APART, ROUNDS, SETTLED = 50, 15, 0.02
@@ -231,12 +232,12 @@ def _mixture(
     found = nothing_yet(stack)
     copy_into(found.candidate, start.candidate)
     found.sigma_px[:], found.relief[:] = start.sigma_px, start.relief
-    share, moving, promise, iterations = float(still[usable].mean()), np.zeros(len(off)), np.inf, 0
+    share, moving, promise, iterations = float(np.clip(still[usable].mean(), *SHARES)), np.zeros(len(off)), np.inf, 0
     each, wrong = np.zeros((3, len(off))), anywhere(stack)
     for _ in range(ROUNDS):
         each = np.stack([share * _standing(off, sigma), (1 - WRONG - share) * going(stack, found), WRONG * wrong])
         each = np.where(usable, each / each.sum(axis=0), 0.0)
-        share = float(np.clip(each[0].sum() / usable.sum(), 1e-3, 1 - WRONG - 1e-3))
+        share = float(np.clip(each[0].sum() / usable.sum(), *SHARES))
         # What stands still has the noise of what moves, or less: that of the motion holds what it does not explain, too.
         sigma = float(np.clip(np.sqrt((each[0] * off).sum() / max(4.0 * each[0].sum(), 1e-300)), *SIGMA_PX))
         change = float(np.abs(each[1] - moving).max())
