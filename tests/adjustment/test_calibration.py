@@ -155,7 +155,7 @@ def test_a_camera_that_was_moved() -> None:
 @pytest.mark.parametrize(("degrees", "seed"), [(0.0, 3), (3.0, 4)])
 def test_errors_that_are_alike_are_no_calibration(degrees: float, seed: int) -> None:
     """Of tracked images, whose neighbouring features err alike: an exact rig stays nearly so, one that is off is mended."""
-    tracked_frames, told, rig, true = tracked(seed, degrees, frames=40)
+    tracked_frames, told, rig, true = tracked(seed, degrees, frames=30)
     found = smooth(tracked_frames, told, doubt=usual_doubt(told), recalibrate=True)
     assert found.correction is not None
     poses = [pose for pose in found.poses if pose.measured]

@@ -200,9 +200,9 @@ def test_offsets_are_found_from_end_to_end(
     recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # Speeds are told apart in all frames; for the rest two parts do.
-    monkeypatch.setattr(app_sync, "TRACKED", 32)
+    monkeypatch.setattr(app_sync, "TRACKED", 24)
     found = sync_aloud(open_session(recording))
-    assert found.tracked == 32
+    assert found.tracked == 24
     true = LATE - LATE.mean()
     assert found.known == (Known.FINE,) * 3
     assert not found.problems
