@@ -23,10 +23,10 @@ from tests.clips import (
 )
 
 
-@pytest.mark.parametrize(("features", "back", "most_deg", "most_mm"), [("klt", 12, 0.8, 3), ("sift", 12, 0.3, 1)])
+@pytest.mark.parametrize(("features", "back", "most_deg", "most_mm"), [("klt", 10, 0.8, 3), ("sift", 10, 0.3, 1)])
 def test_all_cameras_covered_for_a_few_frames(features: str, back: int, most_deg: float, most_mm: float) -> None:
     rig = moving_scene(drifting, 1).rig
-    clip = Clip.render(moving_scene(drifting, 18, [board_before(camera, 7, 11) for camera in rig]))
+    clip = Clip.render(moving_scene(drifting, 15, [board_before(camera, 7, 9) for camera in rig]))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, features=features))
     # Found again at once, by SIFT's three keyframes, or with all that was to be seen in the last frame before.
     assert statuses(tracked) == [
@@ -34,7 +34,7 @@ def test_all_cameras_covered_for_a_few_frames(features: str, back: int, most_deg
         *[FrameStatus.TRACKED] * 6,
         *[FrameStatus.COASTING] * (back - 7),
         FrameStatus.RELOCALISED,
-        *[FrameStatus.TRACKED] * (17 - back),
+        *[FrameStatus.TRACKED] * (14 - back),
     ]
     assert_valid(tracked)
     error = errors(tracked, clip.truth)
@@ -42,22 +42,22 @@ def test_all_cameras_covered_for_a_few_frames(features: str, back: int, most_deg
     assert error[back - 1 :, 0].max() < most_deg
     assert error[back - 1 :, 1].max() < most_mm
     # It goes on as it did, and what is said of that covers the error and grows.
-    coasting = tracked[7:12]
-    assert error[6:11, 0].max() < 1
-    assert normalised_squares(tracked, clip.truth)[6:11].max() < 40
+    coasting = tracked[7:10]
+    assert error[6:9, 0].max() < 1
+    assert normalised_squares(tracked, clip.truth)[6:9].max() < 40
     assert (np.diff([np.linalg.norm(f.pose.sigma[3:]) for f in coasting]) > 0).all()
     assert not any(f.pose.measured for f in coasting)
 
 
 def test_all_cameras_covered_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sylpose.tracking.joint.MAX_COASTING", 5)
-    first, last = 6, 14
+    first, last = 6, 12
     rig = moving_scene(drifting, 1).rig
 
     def path(frame: float) -> RigidTransform:
         return drifting(min(frame, first) + 0.65 * max(frame - first, 0))  # slower, unseen
 
-    clip = Clip.render(moving_scene(path, 19, [board_before(camera, first, last) for camera in rig]))
+    clip = Clip.render(moving_scene(path, 17, [board_before(camera, first, last) for camera in rig]))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
     hidden = statuses(tracked)[first : last + 1]
     n = hidden.index(FrameStatus.LOST)
@@ -66,8 +66,8 @@ def test_all_cameras_covered_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(f.pose.world_from_object is None for f in tracked[first + n : last + 1])
     found = statuses(tracked)[last + 1 :].index(FrameStatus.RELOCALISED)
     assert found < 3
-    assert statuses(tracked)[last + 2 + found :] == [FrameStatus.TRACKED] * (19 - last - 2 - found)
-    assert errors(tracked, clip.truth)[-(19 - last - 1 - found) :, 0].max() < 0.8
+    assert statuses(tracked)[last + 2 + found :] == [FrameStatus.TRACKED] * (17 - last - 2 - found)
+    assert errors(tracked, clip.truth)[-(17 - last - 1 - found) :, 0].max() < 0.8
     assert_valid(tracked)
 
 
