@@ -86,7 +86,7 @@ class Node:
         mine = do(self._camera)
         return [mine if c == self._camera else cast(T, None) for c in range(self._cameras)]
 
-    def ask(self, do: Callable[[int], T]) -> list[T]:
+    def ask(self, do: Callable[[int], T], nothing: T) -> list[T]:  # noqa: ARG002
         told = do(self._camera)
         assert_numbers(told)
         return cast(list[T], self._wire.exchange(self._camera, told))
@@ -94,7 +94,7 @@ class Node:
     def align(
         self, sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = FIRST_PX
     ) -> tuple[Aligned, list[tuple[FloatArray, FloatArray]]]:
-        one = OneOfMany(sights[self._camera], self._camera, lambda told: self._wire.exchange(self._camera, told))
+        one = OneOfMany(sights[self._camera], self._camera, lambda told, _: self._wire.exchange(self._camera, told))
         found = one.align(rotation, shift, first_px)
         return found, self.each(lambda _: (found.weights[0], found.residuals[0]))
 

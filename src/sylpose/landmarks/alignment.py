@@ -22,8 +22,8 @@ which needs a few numbers from each: `align` runs both in one process, `OneOfMan
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -38,10 +38,11 @@ from sylpose.landmarks.camera_terms import (
     take_step,
 )
 from sylpose.landmarks.joint_step import MAX_ROUNDS, Round, first_round, joint_step, measures_noise
+from sylpose.landmarks.told import Exchange, Has, Judges, Says
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.compiled import kernel
 
-__all__ = ["FIRST_PX", "Aligned", "OneOfMany", "Sights", "Told", "align"]
+__all__ = ["FIRST_PX", "Aligned", "OneOfMany", "Sights", "align"]
 
 # Noise that the first, forgiving rounds assume, pixels: from a bad prediction to a keypoint's own noise (choice).
 SCHEDULE_PX = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
@@ -85,6 +86,12 @@ class Sights:
     rotation: FloatArray
     center: FloatArray
     focal: float
+
+    @classmethod
+    def none(cls) -> Sights:
+        """Of a camera that sees nothing."""
+        no = np.empty((0, 3))
+        return cls(no, no, np.empty((0, 2)), np.empty(0, np.int64), np.empty(0), np.eye(3), np.zeros(3), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,43 +277,19 @@ def _rounds(
 # --- one camera among others ------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Told:
-    """What a camera tells all others: of a round, or at the end.
-
-    Attributes:
-        matches, trust: how many it has, and the sum of their trust.
-        reduced: (6, 7) what it says of the pose: hessian and gradient of (w, d), without its surface.
-        mass: the sum of its weights.
-        level_px: its noise, or NaN.
-        cost, vote: the sum of its robust costs by trust, at its own noise and at `VOTE_PX`.
-        inliers: number of matches that agree.
-    """
-
-    matches: int
-    trust: float
-    reduced: FloatArray
-    mass: float = 0.0
-    level_px: float = np.nan
-    cost: float = 0.0
-    vote: float = 0.0
-    inliers: int = 0
-
-
 class OneOfMany:
     """One camera's side of `align`, with the others elsewhere: all that take part come to the same answer, to the bit.
 
     Args:
         sights: its own.
         index: its number among all.
-        exchange: tells all others something, waits for theirs, and returns all, by camera.
+        exchange: with the others.
     """
 
-    def __init__(self, sights: Sights, index: int, exchange: Callable[[Told], Sequence[Told]]) -> None:
+    def __init__(self, sights: Sights, index: int, exchange: Exchange) -> None:
         self._stacked, self._index, self._exchange = stack([sights]), index, exchange
         self._own = own_of(self._stacked)
-        self._says = Told(len(sights.image), float(_trusts(self._stacked)[0]), np.zeros((6, 7)))
-        told = exchange(self._says)
+        told = exchange(Has(len(sights.image), float(_trusts(self._stacked)[0])), Has(0, 0.0))
         self.matches = np.array([t.matches for t in told], np.int64)
         self._trust = np.array([t.trust for t in told])
 
@@ -326,7 +309,7 @@ class OneOfMany:
             reduced, pose = np.empty((6, 7)), (at.rotation, at.shift)
             mass = camera_terms(stacked, 0, *pose, float(at.sigma_px[me]), heard, own, reduced)
             level = noise_of(stacked, 0, own) if measures_noise(count, len(noise)) else np.nan
-            told = self._exchange(replace(self._says, reduced=reduced, mass=mass, level_px=level))
+            told = self._exchange(Says.of(reduced, mass, level), Says(np.zeros(27), 0.0, np.nan))
             all_said = np.array([t.reduced for t in told])
             masses, levels = np.array([t.mass for t in told]), np.array([t.level_px for t in told])
             stepped, negligible = joint_step(at, all_said, masses, levels, noise, count, last)
@@ -336,9 +319,9 @@ class OneOfMany:
             last = settled or count == MAX_ROUNDS
             take_step(0, at.step, own)
         cost, vote, inliers = judge(stacked, 0, at.rotation, at.shift, _level(at, me), heard, own)
-        told = self._exchange(replace(self._says, cost=cost, vote=vote, inliers=int(inliers)))
-        agree = np.array([t.inliers for t in told], np.int64)
-        costs, votes = sum((t.cost for t in told), 0.0), np.array([t.vote for t in told])
+        judged = self._exchange(Judges(cost, vote, int(inliers)), Judges(0.0, 0.0, 0))
+        agree = np.array([t.inliers for t in judged], np.int64)
+        costs, votes = sum((t.cost for t in judged), 0.0), np.array([t.vote for t in judged])
         rounds = min(count, MAX_ROUNDS)
         return _aligned(at, rounds, settled, costs, votes, self._trust, agree, stacked, own)
 

@@ -251,6 +251,10 @@ def _without_surface(
             for a in range(3):
                 reduced[3 * h + i, 6] += q[a, i] * equations[3 * h + a, 9]
     eliminate(block, gain, reduced)
+    # But for rounding it is symmetric: one half is all that is sent.
+    for i in range(6):
+        for j in range(i):
+            reduced[i, j] = reduced[j, i]
 
 
 @kernel

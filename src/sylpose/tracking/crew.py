@@ -31,8 +31,11 @@ class Crew(Protocol):
             by camera what came of it. Where a camera is elsewhere so is this: it may be handed on to that camera alone.
         """
 
-    def ask(self, do: Callable[[int], T]) -> list[T]:
+    def ask(self, do: Callable[[int], T], nothing: T) -> list[T]:
         """Each camera tells all others something: `records`, or plain numbers and arrays.
+
+        Args:
+            nothing: what a camera says that sees nothing, and what is taken for the word of one that is not heard.
 
         Returns:
             by camera, in the rig's order, the same everywhere.
@@ -73,7 +76,7 @@ class OneProcess:
         """See `Crew`. What is brief takes less time than handing it to a thread would."""
         return list(self._pool.map(do, self._cameras)) if long else [do(c) for c in self._cameras]
 
-    def ask(self, do: Callable[[int], T]) -> list[T]:
+    def ask(self, do: Callable[[int], T], nothing: T) -> list[T]:  # noqa: ARG002
         """See `Crew`."""
         return [do(c) for c in self._cameras]
 

@@ -26,7 +26,7 @@ from sylpose.tracking.frame import CameraFrame, Frame, Pair, inliers_of, still, 
 from sylpose.tracking.frame_solvers import Agreement, Problem, Solution
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import references_of, viewpoints
-from sylpose.tracking.records import Ages, Agreed, Recognised
+from sylpose.tracking.records import Ages, Agreed, Following, Recognised
 from sylpose.tracking.relocalise import pose_of, recognised, to_try
 from sylpose.tracking.team import Region, Team
 from sylpose.two_frames.motion import motion_about
@@ -114,7 +114,7 @@ def followed_from_anchor(
     followed = team.crew.each(
         lambda c: team.parts[c].follow(last, ahead, frames.images[c], frames.masks[c], radius), long=True
     )
-    reports = team.crew.ask(lambda c: followed[c].report(regions[c]))
+    reports = team.crew.ask(lambda c: followed[c].report(regions[c]), Following.none())
     return followed, sum(report.found for report in reports), suffices(reports, joint.anchor, ahead)
 
 
@@ -232,7 +232,7 @@ def solved_from(
             first = _first_relearnt(team, joint, velocity.rig_seen_at_once(team.rig, base.late, center, speed, elapsed))
             pairs = _with_first(crew, pairs, base.number, first)
     agreement = solution.agreement
-    agreed = crew.ask(lambda c: _agreed(pairs[c], agreement[c], frame.cameras[c]))
+    agreed = crew.ask(lambda c: _agreed(pairs[c], agreement[c], frame.cameras[c]), Agreed.none())
     noise = solution.status is not Status.NO_MOTION and _is_noise(team, joint, guess, agreed)
     return None if noise else Found(frame, rig, pairs, solution, motion, agreed, regions, followed, anew, first)
 
@@ -303,7 +303,7 @@ def recognised_anywhere(team: Team, joint: Joint, frame: Frame) -> RigidTransfor
         return recognised([part.frames[k.number] for k in tried], frame.cameras[c], joint.object.radius)
 
     found = team.crew.each(of, long=True)
-    return pose_of(team.rig, team.crew.ask(lambda c: found[c]))
+    return pose_of(team.rig, team.crew.ask(lambda c: found[c], Recognised.none()))
 
 
 def is_the_same(joint: Joint, found: Found, pose: RigidTransform) -> bool:

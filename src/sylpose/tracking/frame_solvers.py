@@ -144,7 +144,7 @@ def _terms(crew: Crew, problem: Problem, *, near: bool = False) -> list[list[Ter
         pairs = [pair for pair in problem.pairs[c] if not near or pair.reference == base.number]
         return [pair.term(c, camera, base_from_reference(pair, base, known)) for pair in pairs]
 
-    return crew.ask(of)
+    return crew.ask(of, [])
 
 
 def _solution(problem: Problem, fit: Fit, agreement: Sequence[Agreement]) -> Solution:
@@ -199,7 +199,7 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights], Floa
     """`solve_landmarks`; by camera, each its own, the sights that it used; (6,) (w, d) by what it may be off (`chosen`)."""
     frames, pairs, cameras = problem.frames, problem.pairs, problem.rig.cameras
     seen = crew.each(lambda c: sights_of(cameras[c], pairs[c], frames[c], problem.base))
-    ages = crew.ask(lambda c: ages_of(*seen[c], pairs[c]))
+    ages = crew.ask(lambda c: ages_of(*seen[c], pairs[c]), Ages.of(np.empty(0)))
     all_ages = total_ages(ages)
     # Where all that is old has vanished at once, something else is seen: what was usual in the last frame counts, too.
     usual = max(usual_age(all_ages), problem.base.age)
@@ -231,7 +231,9 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights], Floa
             more = _support(crew, sights, found_again)
             if more > support:
                 pose, found, support, off = again, found_again, more, np.zeros(6)
-    chances = crew.ask(lambda c: chance_of(sights[c], *found[c], pose.rotation, pose.shift, frames[c]))
+    chances = crew.ask(
+        lambda c: chance_of(sights[c], *found[c], pose.rotation, pose.shift, frames[c]), Chance(0, 0, 0, 0.0, 0)
+    )
     status = Status.OK if pose.converged else Status.NOT_CONVERGED
     if sum(chance.matches for chance in chances) < MIN_MATCHES or (status.has_pose and _by_chance(chances)):
         return _nothing(crew, problem, Status.NOT_CONSISTENT), sights, off
@@ -243,7 +245,7 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights], Floa
 
 def _support(crew: Crew, sights: Sequence[Sights], found: Sequence[tuple[FloatArray, FloatArray]]) -> float:
     """`support_of` all cameras."""
-    return sum(crew.ask(lambda c: support_of(sights[c], *found[c])))
+    return sum(crew.ask(lambda c: support_of(sights[c], *found[c]), 0.0))
 
 
 def _depth_sd(ages: Sequence[Ages]) -> float:
@@ -290,7 +292,7 @@ def solve_known_depth(crew: Crew, problem: Problem) -> Solution:
         moves = sights[c].focal * smear(sights[c], solution.rotation, solution.shift)
         return Known(sights[c], np.where(moves < KNOWN_PX, weights, 0.0))
 
-    records = crew.ask(known)
+    records = crew.ask(known, Known.none())
     cameras, weights = [record.sights for record in records], [record.weights for record in records]
     if sum(int((w > 0).sum()) for w in weights) < KNOWN:
         return solution

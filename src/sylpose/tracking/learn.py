@@ -61,7 +61,7 @@ def accept_first(
     """
     crew, parts, model = team.crew, team.parts, joint.object
     pose = RigidTransform.from_translation(center)
-    sees = np.array(crew.ask(lambda c: len(frame.cameras[c].features) > 0))
+    sees = np.array(crew.ask(lambda c: len(frame.cameras[c].features) > 0, False))
     first = SolvedFrame(frame.number, frame.time, frame.late, pose, np.zeros((6, 6)), viewpoints(team.rig, pose), sees)
     bulge = BULGE if model.bounded and len(team.rig) == 1 else 0.0
 
@@ -131,7 +131,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     seen = crew.each(seen_again)
     model = joint.object
     if not model.bounded:
-        for surface in crew.ask(lambda c: seen[c].surface):
+        for surface in crew.ask(lambda c: seen[c].surface, np.empty((0, 3))):
             model = model.with_points(surface, team.seed)
     status = FrameStatus.RELOCALISED if joint.missed else FrameStatus.TRACKED
     after = replace(joint, object=model).accepted(solved, found.motion, anew=found.anew, agreed=found.agreed)
@@ -294,7 +294,7 @@ def _with_surface(
         return replace(joint, first_motion=found.motion), None
     if not joint.object.guessed:
         return joint, found
-    points = np.concatenate(crew.ask(lambda c: triangulated(team, c, found.inliers[c], before, now)))
+    points = np.concatenate(crew.ask(lambda c: triangulated(team, c, found.inliers[c], before, now), np.empty((0, 3))))
     if len(points) < MIN_POINTS:
         return joint, found
     joint = joint.relearnt(found.radius)

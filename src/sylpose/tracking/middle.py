@@ -39,7 +39,7 @@ def middle_stands(team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequen
         outline = team.rig.cameras[c].project(points)
         outline = outline[np.isfinite(outline).all(axis=1)]
         if not len(outline) or not pairs[c]:
-            return Middle(0, np.nan, False, 0, np.nan)
+            return Middle.none()
         low, high = outline.min(axis=0), outline.max(axis=0)
         known = Landmarks.concatenate([pair.landmarks for pair in pairs[c]])
         shift = away(known, np.concatenate([pair.pixels_j for pair in pairs[c]]))
@@ -50,7 +50,7 @@ def middle_stands(team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequen
         pixels = [float(np.median(shift[some])) if some.any() else np.nan for some in (middle, moved)]
         return Middle(counts[0], pixels[0], pixels[0] <= frame.cameras[c].still_px, counts[1], pixels[1])
 
-    told = team.crew.ask(of)
+    told = team.crew.ask(of, Middle.none())
     moving = [middle.moved_px for middle in told if middle.moved >= MIN_MOVED]
     seeing = [middle for middle in told if middle.seen >= MIN_MOVED]
     least = STANDS * float(np.median(moving)) if moving else 0.0

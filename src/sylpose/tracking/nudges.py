@@ -40,7 +40,7 @@ def steadied(team: Team, joint: Joint, frames: FrameSet) -> tuple[Joint, FrameSe
 
         return team.parts[c].watch.look(seen[c][0], region, frames.index)
 
-    told = crew.ask(look)
+    told = crew.ask(look, Stance())
     turned = [c for c, stance in enumerate(told) if stance.angle > 0]
     if not turned:
         return joint, _with(crew, frames, seen)

@@ -224,14 +224,14 @@ def start(
     if model.center is not None:
         regions = regions_of(team, joint, RigidTransform.from_translation(model.center))
         features = team.detect(frames, regions, MAX_FEATURES)
-        if sum(team.crew.ask(lambda c: len(features[c]))) < MIN_MATCHES:
+        if sum(team.crew.ask(lambda c: len(features[c]), 0)) < MIN_MATCHES:
             return joint, [], [unsolved_frame(frames, FrameStatus.TOO_FEW_MATCHES, regions, model.radius)]
         around = team.detect(frames, regions, MAX_FEATURES, around=True)
         frame = team.frame(number, frames, features)
         joint, first = accept_first(team, joint, frames, frame, around, model.center, regions)
         return joint, [], [first]
     features = team.detect(frames, None, START_FEATURES)
-    if not waiting and sum(team.crew.ask(lambda c: len(features[c]))) < MIN_MATCHES:
+    if not waiting and sum(team.crew.ask(lambda c: len(features[c]), 0)) < MIN_MATCHES:
         # Later ones need something to be compared with.
         return joint, [], [unsolved_frame(frames, FrameStatus.TOO_FEW_MATCHES)]
     waiting = [*waiting, Waiting(team.frame(number, frames, features), frames)]
@@ -307,7 +307,7 @@ def _begun(
     now = found.motion * before
     # Where another motion says as much, how deep the surface is depends on which of them it is.
     model = ObjectModel(found.middle, found.radius, guessed=found.fit.other is not None)
-    points = crew.ask(lambda c: first_points(team, c, found.inliers[c], before, now))
+    points = crew.ask(lambda c: first_points(team, c, found.inliers[c], before, now), np.empty((0, 3)))
     joint = Joint(model.with_points(np.concatenate(points), team.seed))
     regions = regions_of(team, joint, before)
 

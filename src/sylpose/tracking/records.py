@@ -32,6 +32,11 @@ class Following:
     looks: bool
     follows: bool
 
+    @classmethod
+    def none(cls) -> Following:
+        """Of a camera that sees nothing."""
+        return cls(0, 0, False, False)
+
 
 @dataclass(frozen=True, eq=False)
 class Moved:
@@ -65,6 +70,11 @@ class Middle:
     still: bool
     moved: int
     moved_px: float
+
+    @classmethod
+    def none(cls) -> Middle:
+        """Of a camera that sees nothing."""
+        return cls(0, np.nan, False, 0, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +138,11 @@ class Known:
     sights: Sights
     weights: FloatArray
 
+    @classmethod
+    def none(cls) -> Known:
+        """Of a camera that sees nothing."""
+        return cls(Sights.none(), np.empty(0))
+
 
 @dataclass(frozen=True, eq=False)
 class Agreed:
@@ -156,6 +171,11 @@ class Agreed:
     sees: bool
     moving: int = 0
 
+    @classmethod
+    def none(cls) -> Agreed:
+        """Of a camera that sees nothing."""
+        return cls(0, 0, (), (), Ages.of(np.empty(0)), 0, 0, 0, np.nan, False)
+
 
 @dataclass(frozen=True, eq=False)
 class Recognised:
@@ -167,6 +187,11 @@ class Recognised:
 
     points: FloatArray
     pixels: FloatArray
+
+    @classmethod
+    def none(cls) -> Recognised:
+        """Of a camera that sees nothing."""
+        return cls(np.empty((0, 3)), np.empty((0, 2)))
 
 
 @dataclass(frozen=True, eq=False)

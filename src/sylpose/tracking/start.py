@@ -114,7 +114,7 @@ def first_motion(
     Args:
         pairs: by camera, each its own.
     """
-    matches = sum(crew.ask(lambda c: sum(len(pair) for pair in pairs[c] if pair.reference == first)))
+    matches = sum(crew.ask(lambda c: sum(len(pair) for pair in pairs[c] if pair.reference == first), 0))
     own = crew.each(lambda c: [pair for pair in pairs[c] if pair.reference == first])
     jitter = crew.each(lambda c: [jitter_of(pair) for pair in own[c]])
 
@@ -135,7 +135,7 @@ def first_motion(
             if len(pair)
         ]
 
-    records = crew.ask(moved)
+    records: list[list[Moved]] = crew.ask(moved, [])
     terms = [[record.term for record in of_camera] for of_camera in records]
     data, nowhere = gathered(terms), np.full(3, np.nan)
     nothing = FrameStatus.TOO_FEW_MATCHES if matches < MIN_MATCHES else FrameStatus.NO_MOTION

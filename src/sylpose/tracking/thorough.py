@@ -80,7 +80,7 @@ def is_convincing(team: Team, joint: Joint, found: Found) -> bool:
         ),
         long=True,
     )
-    there, by_chance = np.array(team.crew.ask(lambda c: counts[c])).sum(axis=0)
+    there, by_chance = np.array(team.crew.ask(lambda c: counts[c], (0, 0.0))).sum(axis=0)
     return bool(there > CHOSEN + by_chance + 3.0 * np.sqrt(by_chance))
 
 

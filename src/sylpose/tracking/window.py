@@ -59,6 +59,12 @@ class Seen:
     known: IntArray
     place: FloatArray
 
+    @classmethod
+    def none(cls) -> Seen:
+        """Of a camera that sees nothing."""
+        no = np.empty(0, np.int64)
+        return cls(no, no, np.empty((0, 2)), no, np.empty((0, 3)))
+
 
 def is_due(joint: Joint) -> bool:
     """Whether the frame just solved is to be refined with the others: the first ones are, then every `OFTEN`th."""
@@ -74,7 +80,7 @@ def refined(team: Team, joint: Joint) -> Joint:
     if len(frames) < FEWEST:
         return joint
     numbers = [frame.number for frame in frames]
-    told = team.crew.ask(lambda c: _seen(team, c, numbers))
+    told = team.crew.ask(lambda c: _seen(team, c, numbers), Seen.none())
     found = _bundled(team, joint, frames, told)
     if found is None:
         return joint
