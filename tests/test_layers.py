@@ -34,6 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     "capture": NOUNS | {"calibration"},
     "sync": NOUNS | {"capture"},
     "experiments": NOUNS | {"paper", "simulate", "report"},
+    "network": NOUNS | PARTS | {"two_frames", "landmarks", "tracking"},
 }
 # Where images are worked on, or read and written.
 SEES_IMAGES = {"rig", "features", "tracking.region", "sync", "calibration", "capture", "report", "simulate"}

@@ -20,7 +20,7 @@ from sylpose.tracking.phases import Waiting, finish, next_frame
 from sylpose.tracking.team import Team
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-__all__ = ["Tracker", "track"]
+__all__ = ["Tracker", "Tracking", "track"]
 
 
 def track(
@@ -52,7 +52,32 @@ def track(
         yield from tracker.flush()
 
 
-class Tracker:
+class Tracking:
+    """The way through a recording, whoever the cameras' crew is."""
+
+    def __init__(self, team: Team, joint: Joint) -> None:
+        self._team, self._joint = team, joint
+        self._waiting: Sequence[Waiting] = []
+        self._number = 0  # of the next frame
+
+    def step(self, frames: FrameSet) -> list[TrackedFrame]:
+        """Take in the next frame.
+
+        Returns:
+            The frames that are now decided, in order: usually this one; none while the object has not moved yet and no
+            boxes tell where it is, then those that waited for it and this one.
+        """
+        number, self._number = self._number, self._number + 1
+        self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, number, frames)
+        return decided
+
+    def flush(self) -> list[TrackedFrame]:
+        """The frames still undecided at the recording's end: the object moved little, or never."""
+        waiting, self._waiting = self._waiting, []
+        return with_nudges(self._team, self._joint, finish(self._team, waiting))
+
+
+class Tracker(Tracking):
     """Follows one rigid object, frame by frame: a context manager around its worker threads.
 
     Args:
@@ -93,10 +118,8 @@ class Tracker:
         parts = [CameraPart(c, camera) for c, camera in enumerate(rig)]
         late = np.array([(offsets or {}).get(name, 0.0) for name in rig.names])
         self._crew = crew
-        self._team = Team(rig, parts, crew, SOLVERS[method], follows, late, seed, method == METHODS[0])
-        self._joint = Joint(ObjectModel.in_boxes(rig, boxes) if boxes else ObjectModel())
-        self._waiting: Sequence[Waiting] = []
-        self._number = 0  # of the next frame
+        team = Team(rig, parts, crew, SOLVERS[method], follows, late, seed, method == METHODS[0])
+        super().__init__(team, Joint(ObjectModel.in_boxes(rig, boxes) if boxes else ObjectModel()))
 
     def __enter__(self) -> Tracker:
         return self
@@ -107,19 +130,3 @@ class Tracker:
     def close(self) -> None:
         """End the worker threads."""
         self._crew.close()
-
-    def step(self, frames: FrameSet) -> list[TrackedFrame]:
-        """Take in the next frame.
-
-        Returns:
-            The frames that are now decided, in order: usually this one; none while the object has not moved yet and no
-            boxes tell where it is, then those that waited for it and this one.
-        """
-        number, self._number = self._number, self._number + 1
-        self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, number, frames)
-        return decided
-
-    def flush(self) -> list[TrackedFrame]:
-        """The frames still undecided at the recording's end: the object moved little, or never."""
-        waiting, self._waiting = self._waiting, []
-        return with_nudges(self._team, self._joint, finish(self._team, waiting))

@@ -1,0 +1,169 @@
+"""What is sent arrives to the bit, and nothing else gets in."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.landmarks.alignment import Sights
+from sylpose.landmarks.told import Has, Judges, Says
+from sylpose.network.agreed import HEADER
+from sylpose.network.codec import LARGEST, RECORDS, packed, unpacked
+from sylpose.numerics.arrays import FloatArray
+from sylpose.tracking.records import Ages, Agreed, Chance, Following, Known, Middle, Moved, Recognised, Stance
+from sylpose.tracking.window import Seen
+from sylpose.two_frames.terms import TermData
+
+RNG = np.random.default_rng(0)
+
+
+def some(*shape: int) -> FloatArray:
+    return RNG.standard_normal(shape)
+
+
+def whole(n: int) -> Any:
+    return RNG.integers(0, 1000, n)
+
+
+POSE = RigidTransform.from_components([0.1, -2.0, 3.0], Rotation.from_rotvec([0.3, 0.2, -0.1]))
+TERM = TermData(2, some(7, 2), some(7, 2), np.eye(3), some(3), 812.5, POSE)
+SIGHTS = Sights(some(5, 3), some(5, 3), some(5, 2), whole(5), some(5), np.eye(3), some(3), 700.0)
+AGES = Ages(some(4), some(4), 3, 12, np.nan)
+SAMPLES = [
+    Has(12, 0.5),
+    Says(some(27), 3.5, np.nan),
+    Judges(1.5, 2.5, 17),
+    Following(12, 30, True, False),
+    Moved(TERM, some(7), 0.25, 9),
+    Middle(4, np.nan, False, 3, 1.5),
+    AGES,
+    Chance(30, 20, 25, 1.25, 3),
+    Known(SIGHTS, some(5)),
+    Agreed(9, 12, (0, 3), (1.5, 2.0), AGES, 8, 7, 6, 0.5, True, 5),
+    Recognised(some(6, 3), some(6, 2)),
+    Stance(True, some(3), 0.01, 17, True),
+    Seen(whole(4), whole(4), some(4, 2), whole(2), some(2, 3)),
+    TERM,
+    SIGHTS,
+]
+
+
+def assert_same(a: Any, b: Any) -> None:
+    assert type(a) is type(b)
+    if is_dataclass(a):
+        for field in fields(a):
+            assert_same(getattr(a, field.name), getattr(b, field.name))
+    elif isinstance(a, np.ndarray):
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+    elif isinstance(a, RigidTransform):
+        np.testing.assert_allclose(a.as_matrix(), b.as_matrix(), rtol=0, atol=1e-15)
+    elif isinstance(a, (tuple, list)):
+        assert len(a) == len(b)
+        for x, y in zip(a, b, strict=True):
+            assert_same(x, y)
+    else:
+        np.testing.assert_array_equal(a, b)
+
+
+def test_each_record_has_a_sample() -> None:
+    assert tuple(type(sample) for sample in SAMPLES) == RECORDS
+
+
+@pytest.mark.parametrize("sample", SAMPLES, ids=[type(s).__name__ for s in SAMPLES])
+def test_records_arrive_as_sent(sample: Any) -> None:
+    assert_same(unpacked(packed(sample), sample), sample)
+    assert_same(unpacked(packed([sample, sample]), []), [sample, sample])
+
+
+@pytest.mark.parametrize("value", [0, 17, 2.5, np.nan, True, (3, 1.5), np.zeros((0, 3)), some(4, 3)])
+def test_plain_values_arrive_as_sent(value: Any) -> None:
+    assert_same(unpacked(packed(value), value), value)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    assert unpacked(packed(np.int64(3)), 0) == 3
+    assert unpacked(packed(3), 0.0) == 3.0
+    assert unpacked(packed((np.int64(1), np.float64(2))), (0, 0.0)) == (1, 2.0)
+
+
+def test_a_round_of_the_alignment_fits_into_256_bytes() -> None:
+    assert HEADER.size + len(packed(SAMPLES[1])) <= 256
+
+
+@settings(max_examples=300)
+@given(sample=st.sampled_from(SAMPLES), data=st.data())
+def test_what_was_tampered_with_is_refused_or_is_a_record(sample: Any, data: st.DataObject) -> None:
+    """Bytes changed, cut off or put in: whatever arrives has the types and shapes that it should have."""
+    wire = bytearray(packed(sample))
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, max(len(wire) - 1, 0)))
+        how = data.draw(st.sampled_from(["change", "cut", "insert"]))
+        if how == "change" and wire:
+            wire[at] = data.draw(st.integers(0, 255))
+        elif how == "cut":
+            del wire[at:]
+        else:
+            wire[at:at] = bytes([data.draw(st.integers(0, 255))])
+    try:
+        found = unpacked(bytes(wire), sample)
+    except ValueError:
+        return
+    assert type(found) is type(sample)
+    for field in fields(found):
+        mine, its = getattr(found, field.name), getattr(sample, field.name)
+        assert type(mine) is type(its) or None in (mine, its)
+        if isinstance(mine, np.ndarray):
+            assert (mine.dtype, mine.ndim, mine.shape[1:]) == (its.dtype, its.ndim, its.shape[1:])
+
+
+@given(wire=st.binary(max_size=200))
+def test_noise_is_refused(wire: bytes) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        unpacked(wire, SAMPLES[1])
+
+
+@pytest.mark.parametrize(
+    ("wire", "nothing", "why"),
+    [
+        (b"\x00" * (LARGEST + 1), 0, "more than any message"),
+        (packed(3), True, "a bool was expected, not a int"),
+        (packed([1, 2]), [], "a list of records was expected"),
+        (packed(some(3, 2)), np.zeros((0, 3)), "an array of 3 columns was expected"),
+        (packed(some(3)), np.zeros((0, 3)), "an array of 2 dimensions"),
+        (packed((1, 2, 3)), (0, 0.0), "2 values were expected"),
+        (packed(Has(1, 2.0)), SAMPLES[1], "a Says was expected, not a Has"),
+        (b"\x91" * 5000, 0, "no message"),
+        (packed(Says(some(26), 1.0, 1.0)), SAMPLES[1], r"no Says: upper has the shape \(26,\)"),
+        (
+            packed(Recognised(some(3, 3), some(4, 2))),
+            Recognised.none(),
+            r"no Recognised: pixels has the shape \(4, 2\)",
+        ),
+    ],
+)
+def test_bad_messages_are_named(wire: bytes, nothing: Any, why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        unpacked(wire, nothing)
+
+
+def test_a_record_inside_a_record_is_checked() -> None:
+    inner = msgspec.msgpack.Ext(RECORDS.index(Has), msgspec.msgpack.encode([1, 2.0]))
+    wire = msgspec.msgpack.encode(
+        msgspec.msgpack.Ext(RECORDS.index(Known), msgspec.msgpack.encode([inner, msgspec.msgpack.Ext(101, b"")]))
+    )
+    with pytest.raises(ValueError, match="no Known: sights is a Has"):
+        unpacked(wire, Known.none())
+
+
+@pytest.mark.parametrize("value", [some(2, 2, 2), "text", {"a": 1}, np.zeros(3, bool), object()])
+def test_other_things_are_not_sent(value: Any) -> None:
+    with pytest.raises(TypeError, match="is not sent"):
+        packed(value)
