@@ -1,0 +1,97 @@
+"""The tracker by cameras as nodes, over a simulated network: is it the same, and what does it cost?
+
+    python benchmarks/nodes.py [SCENE ...] [--recordings FOLDER] [--loss 0 0.1]
+
+A scene is KIND:SEED of `benchmarks/kinds.py`, demo:SEED, loop:SEED, or the name of a recording in FOLDER; with each share of
+messages lost. Columns: frames whose status differs from that of one process, and how far poses are from its, at most
+(radians, shares of the object's radius); whether all cameras agree to the bit; rounds per frame, mean; bytes that a camera
+tells per frame, mean, and those of the median round, headers included; steps of the network per frame, which are rounds
+where nothing is lost; bytes that a camera sends per frame, repetitions included.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.live import scene_of
+from benchmarks.loops import Turn
+from sylpose.network.agreed import HEADER
+from sylpose.network.simulated import Outcome, track_by_nodes
+from sylpose.paper.distributed.simulated import Disturbances
+from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.tracker import track
+
+SCENES = ("demo:0", "temple", "board4", "person-behind:0", "jumps-15:0", "nudged:1", "stands-fast:2")
+
+
+class Difference(NamedTuple):
+    """Of two runs: frames whose status differs, and by how much poses do, at most, radians and shares of the radius."""
+
+    statuses: int
+    turn: float
+    shift: float
+
+
+def difference(found: Sequence[TrackedFrame], wanted: Sequence[TrackedFrame]) -> Difference:
+    statuses, turn, shift = abs(len(found) - len(wanted)), 0.0, 0.0
+    for a, b in zip(found, wanted, strict=False):
+        statuses += a.pose.status is not b.pose.status
+        if a.pose.world_from_object is not None and b.pose.world_from_object is not None:
+            one, other = a.pose.world_from_object, b.pose.world_from_object
+            turn = max(turn, float((one.rotation * other.rotation.inv()).magnitude()))
+            shift = max(shift, float(np.linalg.norm(one.translation - other.translation)) / b.radius)
+    return Difference(statuses, turn, shift)
+
+
+def agree(outcome: Outcome, cameras: Sequence[int]) -> bool:
+    """Whether some cameras say the same of every frame, to the bit."""
+    first, *others = (outcome.frames[c] for c in cameras)
+    return all(len(other) == len(first) and difference(other, first) == (0, 0.0, 0.0) for other in others)
+
+
+def line(name: str, scene: Turn, disturbances: Disturbances) -> str:
+    expected = list(track(scene.frames, scene.rig, scene.boxes))
+    outcome = track_by_nodes(scene.frames, scene.rig, scene.boxes, disturbances=disturbances)
+    apart, live, n = difference(outcome.frames[0], expected), range(len(scene.rig)), len(scene.frames)
+    told = [np.array(outcome.told[c]) + HEADER.size for c in live]
+    cells = [
+        name,
+        f"{len(scene.rig)}, {n}",
+        f"{disturbances.loss:.0%}",
+        f"{apart.statuses}; {apart.turn:.1e}, {apart.shift:.1e}",
+        "yes" if agree(outcome, live) else "no",
+        f"{np.mean([len(t) for t in told]) / n:.1f}",
+        f"{np.mean([t.sum() for t in told]) / n / 1e3:.1f} kB",
+        f"{np.median(np.concatenate(told)):.0f}",
+        f"{outcome.steps / n:.1f}",
+        f"{outcome.sent.mean() / n / 1e3:.1f} kB",
+    ]
+    return "| " + " | ".join(cells) + " |"
+
+
+HEAD = (
+    "| scene | cameras, frames | lost | statuses that differ; poses, rad, radii | all alike | rounds per frame "
+    "| told per frame | bytes of a round | steps per frame | sent per frame |\n" + "|---" * 10 + "|"
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", default=SCENES)
+    parser.add_argument("--recordings", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--loss", type=float, nargs="+", default=[0.0, 0.1])
+    asked = parser.parse_args()
+    print(HEAD, flush=True)
+    for name in asked.scenes:
+        scene = scene_of(name, asked.recordings)
+        for loss in asked.loss:
+            print(line(name, scene, Disturbances(loss=loss, seed=1)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
