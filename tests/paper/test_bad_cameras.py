@@ -370,9 +370,7 @@ def test_derivative_of_the_affine_map_against_finite_differences(seed: int) -> N
     fits = agreement.affine_fits(views_of(s.rotations, s.moments))
     R = Rotation.from_rotvec(0.3 * rng.normal(size=3)).as_matrix()
     at = agreement.score(fits, R[None])
-    m = (fits.axes_y[:, :2] @ R @ np.swapaxes(fits.axes_x, 1, 2))[:, :, 2]
-    pull = (at.precision[0] @ at.difference[0][..., None]).reshape(-1, 2, 2)
-    slopes = agreement.SLOPE**2 * np.einsum("ci,cij->cj", m, pull)
+    slopes = at.slopes[0]
 
     def predicted(w: FloatArray) -> FloatArray:
         seen = fits.axes_y[:, :2] @ Rotation.from_rotvec(w).as_matrix() @ R @ np.swapaxes(fits.axes_x, 1, 2)

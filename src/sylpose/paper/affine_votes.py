@@ -5,12 +5,18 @@ N the upper-left 2x2 block and m the rest of the first two rows of Q R Q', for a
 1. So each camera has the four numbers of F - N to be judged by, with a covariance that holds the noise of its matches, the
 unknown plane and scale, and what perspective leaves out (θ is the angle of R):
 
-    V = cov(F) + σ_a² mm' ⊗ I + σ_s² vec(N) vec(N)' + (τ₀² + τ₁² θ²) I,   score = vec(F - N)' V⁻¹ vec(F - N).
+    V = cov(F) + λ σ_a² mm' ⊗ I + σ_s² vec(N) vec(N)' + (τ₀² + τ₁² θ²) I,
+    score = min over λ >= 1 of vec(F - N)' V⁻¹ vec(F - N) + log λ + 1/λ - 1.
+
+λ says how steep the plane is, and what that costs: a normal that may point anywhere has slopes a of density
+(1 + |a|²)^(-3/2) / 2π, a Cauchy distribution, which is a normal one of variance λ, and log λ + 1/λ is what λ adds to
+-2 log-likelihood (of log λ). So a board seen at 80 degrees from its normal is no wonder, where slopes of a normal
+distribution would have it impossible; the two numbers of F across m, which no slope explains, are judged as before.
 
 The rotation is searched for from small groups of cameras, so that bad ones do not hide behind what they do to the estimate.
 Of two rotations that explain the scores, the smaller turn is likelier: the larger one explains anything, log det V says.
 
-Source: method.md, section 3 (the depth plane); the search is ours.
+Source: method.md, section 3 (the depth plane); noise in x: W. Fuller, Measurement Error Models (1987); the search is ours.
 """
 
 from __future__ import annotations
@@ -32,6 +38,13 @@ __all__ = ["FAULT", "AffineFits", "Scores", "affine_fits", "agreed_rotation", "s
 # 5 % nearer is a fast one), and what is no affine image at all, without a turn and per radian of it
 # (measured: docs/benchmarks.md#bad-sensors, no good camera named).
 SLOPE, SCALE, LEFT_OVER, LEFT_OVER_PER_RADIAN = 0.5, 0.05, 0.003, 0.03
+# λ is one of these: planes of up to 89.9 degrees. Between them the score would be less by no more than 0.3 (derived).
+STEEP = 4.0 ** np.arange(11)
+# Of the squares along x, what noise may have made: no more than this share of those along the wider direction (choice: of
+# more noise than a tenth of the object's size, nothing is left to be judged), and in either at least so much is not noise
+# (choice: F along a line that is as narrow as its noise is worth nothing, and its covariance says so). How far the noise may
+# be off, relative (derived: the least of two or three eigenvalues, of twenty matches).
+NOISE_SHARE, NOT_NOISE, NOISE_DOUBT = 0.01, 0.1, 0.4
 # A camera is at fault above this score: of good ones, boxes and ellipsoids in perspective, 99 in 100 are below 4
 # (measured: docs/benchmarks.md#bad-sensors, no good camera of 4,650 is named).
 FAULT = 12.0
@@ -58,9 +71,8 @@ class AffineFits(NamedTuple):
     Attributes:
         camera: (n,) indices of the cameras.
         F: (n, 2, 2) y = F x on centred points.
-        noise: (n, 4, 4) covariance of vec(F), from what the map leaves.
+        noise: (n, 4, 4) covariance of vec(F), from what the map leaves and from how well the noise of x is known.
         axes_x, axes_y: (n, 3, 3) of the camera in frames i and j, in the world.
-        misfit: (n,) Σ w |y - Fx|².
         weight: (n,) Σ w.
     """
 
@@ -69,7 +81,6 @@ class AffineFits(NamedTuple):
     noise: FloatArray
     axes_x: FloatArray
     axes_y: FloatArray
-    misfit: FloatArray
     weight: FloatArray
 
     def subset(self, rows: IntArray) -> AffineFits:
@@ -82,10 +93,11 @@ class Scores(NamedTuple):
 
     Attributes:
         squared: (K, n) the scores.
-        unlikely: (K, n) the scores plus log det V.
+        unlikely: (K, n) the least over λ of the score's terms plus log det V.
         difference: (K, n, 4) vec(F - N).
         precision: (K, n, 4, 4) V⁻¹.
-        jacobian: (K, n, 4, 3) of vec(N + m a') by w, R = exp(w) R, for the slopes a that suit each camera there.
+        jacobian: (K, n, 4, 3) of vec(N + m a') by w, R = exp(w) R.
+        slopes: (K, n, 2) the a that suit each camera there.
     """
 
     squared: FloatArray
@@ -93,6 +105,7 @@ class Scores(NamedTuple):
     difference: FloatArray
     precision: FloatArray
     jacobian: FloatArray
+    slopes: FloatArray
 
 
 def affine_fits(views: Views) -> AffineFits:
@@ -101,16 +114,30 @@ def affine_fits(views: Views) -> AffineFits:
     enough = (views.weights >= MIN_MATCHES) & (spread[:, 0] > ON_A_LINE * spread[:, 1])
     enough &= spread[:, 1] > 10 * ROUNDING * views.total
     v = views.subset(enough)
-    inverse = np.linalg.inv(v.s_xx)
-    F = v.s_yx @ inverse
-    misfit = v.s_yy - F @ transpose(v.s_yx)
+    misfit = v.s_yy - v.s_yx @ np.linalg.solve(v.s_xx, transpose(v.s_yx))
     misfit = (misfit + transpose(misfit)) / 2
     values, vectors = np.linalg.eigh(misfit)
     misfit = (vectors * np.maximum(values, 0.0)[:, None]) @ transpose(vectors)
     variance = misfit / (v.weights - 3)[:, None, None]
-    noise = (variance[:, :, None, :, None] * inverse[:, None, :, None, :]).reshape(-1, 4, 4)
-    total = np.trace(misfit, axis1=1, axis2=2)
-    return AffineFits(np.flatnonzero(enough), F, noise, v.rotation_x, v.rotation_y, total, v.weights)
+    inverse, in_x = _without_noise(v)
+    F = v.s_yx @ inverse
+    noise = np.einsum("cij,ckl->cikjl", variance, inverse @ v.s_xx @ inverse).reshape(-1, 4, 4)
+    doubt = NOISE_DOUBT * in_x[:, None] * (F @ inverse).reshape(-1, 4)
+    noise += doubt[:, :, None] * doubt[:, None]
+    return AffineFits(np.flatnonzero(enough), F, noise, v.rotation_x, v.rotation_y, v.weights)
+
+
+def _without_noise(v: Views) -> tuple[FloatArray, FloatArray]:
+    """The inverse of s_xx without the noise of x (n, 2, 2), and what that is taken to be along each direction (n,).
+
+    Least squares make F too small along a direction in which the image is hardly wider than the noise of x: a board that is
+    seen from its side. Whatever the depths, (x, y) lie near a hyperplane; how near, says the noise.
+    """
+    scatter = np.block([[v.s_xx, transpose(v.s_yx)], [v.s_yx, v.s_yy]])
+    spread, axes = np.linalg.eigh(v.s_xx)
+    in_x = np.clip(np.linalg.eigvalsh(scatter)[:, 0], 0.0, NOISE_SHARE * spread[:, 1])
+    true = np.maximum(spread - in_x[:, None], NOT_NOISE * spread)
+    return (axes / true[:, None]) @ transpose(axes), in_x
 
 
 def score(fits: AffineFits, rotations: FloatArray) -> Scores:
@@ -124,16 +151,27 @@ def score(fits: AffineFits, rotations: FloatArray) -> Scores:
     angle = Rotation.from_matrix(rotations).magnitude()
     left_over = LEFT_OVER**2 + (LEFT_OVER_PER_RADIAN * angle) ** 2
     V = fits.noise + SCALE**2 * n[..., :, None] * n[..., None, :] + left_over[:, None, None, None] * np.eye(4)
-    along = m[..., :, None, None, None] * m[..., None, None, :, None] * np.eye(2)[:, None]
-    V += SLOPE**2 * along.reshape(*shape, 4, 4)
-    precision = np.linalg.inv(V)
+    level = np.linalg.inv(V)
     difference = fits.F.reshape(-1, 4) - n
-    weighted = (precision @ difference[..., None])[..., 0]
-    slopes = SLOPE**2 * (m[..., None, :] @ weighted.reshape(N.shape))  # (K, n, 1, 2)
+    # What slopes add to V has two directions; along these, λ is found for all its values at once.
+    leaning = (m[..., :, None, None] * np.eye(2)).reshape(*shape, 4, 2)
+    weight, directions = np.linalg.eigh(transpose(leaning) @ level @ leaning)
+    weight = np.maximum(weight, 0.0)
+    toward = level @ leaning @ directions
+    pull = (transpose(toward) @ difference[..., None])[..., 0]
+    steep = SLOPE**2 * STEEP[:, None, None, None]
+    price = np.log(STEEP) + 1 / STEEP - 1
+    added = price[:, None, None] - (pull**2 / (weight + 1 / steep)).sum(axis=-1)  # (λ, K, n)
+    likeliest = added.argmin(axis=0)
+    gain = 1 / (weight + 1 / steep[likeliest][..., 0, 0, :])
+    precision = level - (toward * gain[..., None, :]) @ transpose(toward)
+    squared = (difference * (level @ difference[..., None])[..., 0]).sum(axis=-1)
+    wider = added + np.log1p(steep * weight).sum(axis=-1)
+    unlikely = squared + np.linalg.slogdet(V)[1] + wider.min(axis=0)
+    slopes = (directions @ (gain * pull)[..., None])[..., 0]
     turned = (to_y[:, None] @ _SKEW) @ rotations[:, None, None] @ from_x[:, None]  # (K, n, 3, 2, 3): by w
-    jacobian = (turned[..., :2] + turned[..., 2:] * slopes[..., None, :, :]).reshape(*shape, 3, 4)
-    squared = (difference * weighted).sum(axis=-1)
-    return Scores(squared, squared + np.linalg.slogdet(V)[1], difference, precision, transpose(jacobian))
+    jacobian = (turned[..., :2] + turned[..., 2:] * slopes[..., None, None, :]).reshape(*shape, 3, 4)
+    return Scores(squared + added.min(axis=0), unlikely, difference, precision, transpose(jacobian), slopes)
 
 
 def _refined(

@@ -20,7 +20,7 @@ from scipy.special import fdtri
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.matrices import checked_rotations
+from sylpose.numerics.matrices import checked_rotations, transpose
 from sylpose.paper.affine_votes import FAULT, LEFT_OVER, SCALE, AffineFits, affine_fits, agreed_rotation, score, settled
 from sylpose.paper.centralized import CentralizedSolution, solve_centralized
 from sylpose.paper.orthographic import views_of
@@ -37,6 +37,8 @@ TRUSTED = 6.0
 JUNK = 4.0
 # A camera stands still where chance makes its matches' displacements as large at least this often (choice; F-test).
 STILL = 1e-4
+# One that stands still is not displaced by more than this share of how far its places are apart, squared (choice).
+LITTLE = 0.1
 # The rotation is searched for with no more cameras than this (choice: time).
 SEARCHED = 24
 # Squares of displacements up to this share of those of the places are rounding (derived).
@@ -220,12 +222,20 @@ def _still(moments: Sequence[PairMoments], fits: AffineFits) -> BoolArray:
     if len(fits.camera) == 0:
         return np.zeros(0, dtype=bool)
     M = np.array([moments[c].matrix for c in fits.camera])
-    x, y = [6, 7], [2, 5]
-    moved = M[:, x, x].sum(axis=1) + M[:, y, y].sum(axis=1) - 2 * M[:, y, x].sum(axis=1)
-    # F-test of the affine map's six numbers; what rounding leaves is no motion.
-    noise = fits.misfit / (2 * fits.weight - 6)
+    i, j, n = [6, 7], [2, 5], fits.weight
+    xx, yy, yx = M[:, i][:, :, i], M[:, j][:, :, j], M[:, j][:, :, i]
+    d, s = M[:, j, 8] - M[:, i, 8], M[:, j, 8] + M[:, i, 8]
+    mean = (d**2).sum(axis=1) / n
+    dd = np.trace(xx + yy - yx - transpose(yx), axis1=1, axis2=2) - mean
+    # d = y - x as a function of s = x + y: the noise of d is not in s, as it is in x, where the image may be narrow.
+    ss = xx + yy + yx + transpose(yx) - s[:, :, None] * s[:, None] / n[:, None, None]
+    ds = yy - xx + yx - transpose(yx) - d[:, :, None] * s[:, None] / n[:, None, None]
+    by_place = (ds * transpose(np.linalg.solve(ss, transpose(ds)))).sum(axis=(1, 2))
+    # F-test of the affine map's six numbers; what rounding leaves is no motion. Half of a turn looks like noise in d.
+    noise = np.maximum(dd - by_place, 0.0) / (2 * n - 6)
     rounding = NO_MOTION * np.trace(M, axis1=1, axis2=2)
-    return np.asarray(moved - fits.misfit <= 6 * noise * fdtri(6, 2 * fits.weight - 6, 1 - STILL) + rounding)
+    little = dd <= LITTLE * np.trace(ss, axis1=1, axis2=2)
+    return np.asarray(little & (mean + by_place <= 6 * noise * fdtri(6, 2 * n - 6, 1 - STILL) + rounding))
 
 
 def _report(
