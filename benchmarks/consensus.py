@@ -25,14 +25,15 @@ from sylpose import open_session
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.centralized import CentralizedSolution, solve_centralized
+from sylpose.paper.distributed import anderson, leaping
 from sylpose.paper.distributed import refine as consensus
 from sylpose.paper.distributed.messages import Inbox, Packet
+from sylpose.paper.distributed.nonsense import Nonsense
 from sylpose.paper.distributed.refine import RefineState, refine_start, refine_step
 from sylpose.paper.distributed.simulated import (
     UNDISTURBED,
     Agreement,
     Disturbances,
-    Nonsense,
     run,
     solve_exchange,
     solve_gossip,
@@ -135,16 +136,16 @@ def by_penalty(seeds: int) -> None:
     choices = [(0.05, 1.0), (0.1, 1.0), (0.2, 1.0), (0.05, 1.6), (0.1, 1.6), (0.2, 1.6)]
     print("| cameras | extrapolation, leaps | " + " | ".join(f"ρ {p}, {a}" for p, a in choices) + " |")
     print("|---|---|" + "---|" * len(choices))
-    defaults = consensus.PENALTY, consensus.RELAXATION, consensus.MEMORY, consensus.LEAPS
+    defaults = consensus.PENALTY, consensus.RELAXATION, anderson.MEMORY, leaping.LEAPS
     for name, make in RIGS.items():
         for memory in (0, defaults[2]):
             cells = []
             for penalty, relaxation in choices:
-                consensus.PENALTY, consensus.RELAXATION, consensus.MEMORY = penalty, relaxation, memory
-                consensus.LEAPS = defaults[3] if memory else 0
+                consensus.PENALTY, consensus.RELAXATION, anderson.MEMORY = penalty, relaxation, memory
+                leaping.LEAPS = defaults[3] if memory else 0
                 cells.append(spread([rounds_to(p) for p in problems(make(4), min(seeds, 2))]))
             print(f"| {name} | {'yes' if memory else 'no'} | " + " | ".join(cells) + " |")
-    consensus.PENALTY, consensus.RELAXATION, consensus.MEMORY, consensus.LEAPS = defaults
+    consensus.PENALTY, consensus.RELAXATION, anderson.MEMORY, leaping.LEAPS = defaults
 
 
 def by_loss(seeds: int) -> None:

@@ -26,7 +26,16 @@ from sylpose.paper.centralized import CentralizedSolution, solve_centralized
 from sylpose.paper.orthographic import views_of
 from sylpose.results import RotationEstimate, Status
 
-__all__ = ["Diagnosis", "Fault", "FaultKind", "RobustSolution", "diagnose", "solve_robust", "suspect_cameras"]
+__all__ = [
+    "Diagnosis",
+    "Fault",
+    "FaultKind",
+    "RobustSolution",
+    "diagnose",
+    "doubt_of",
+    "solve_robust",
+    "suspect_cameras",
+]
 
 FaultKind = Literal["calibration", "frozen", "junk"]
 
@@ -207,6 +216,15 @@ def suspect_cameras(
     scores = np.maximum(score(fits, R[None]).squared[0], junk)
     scores[np.isin(fits.camera, np.asarray(at_fault, dtype=np.int64))] = np.inf
     return _report(labels, fits, _kinds(still, junk > JUNK), R, scores, True)
+
+
+def doubt_of(fits: AffineFits, rotation: FloatArray | None = None) -> float:
+    """What a camera can tell of itself: the largest `Fault.score` of these cameras if the object's rotation is this one
+    (3, 3), taken as exact; if it is whatever suits each of them best, without one. 0 if none can be judged."""
+    scores = _junk(fits)
+    if rotation is not None:
+        scores = np.maximum(score(fits, rotation[None]).squared[0], scores)
+    return float(scores.max(initial=0.0))
 
 
 def _junk(fits: AffineFits) -> FloatArray:

@@ -15,8 +15,10 @@ from sylpose.paper.centralized import solve_centralized
 from sylpose.paper.distributed.evidence import evidence_of, packed, unpacked
 from sylpose.paper.distributed.exchange import exchange_start, exchange_step
 from sylpose.paper.distributed.gossip import gossip_start, gossip_step
+from sylpose.paper.distributed.keeping_step import PATIENCE
 from sylpose.paper.distributed.messages import Message, decode, encode, newest, read
-from sylpose.paper.distributed.refine import PATIENCE, PENALTY, RELAXATION, RefineState, refine_start, refine_step
+from sylpose.paper.distributed.refine import PENALTY, RELAXATION, RefineState, refine_start, refine_step
+from sylpose.paper.distributed.showing import SHOW
 from sylpose.paper.equation import solve_generalized_sylvester
 from sylpose.paper.one_camera import solve_one_camera
 from sylpose.paper.orthographic import quadratic_of, views_of
@@ -119,7 +121,7 @@ def test_a_step_solves_sylvesters_equation(seed: int) -> None:
     """A R B + p R = C + p (Z - U), against the equation's own solver; V = p (R + U) before and after."""
     cameras, moments = problem(seed, 3)
     started = [refine_start(c, range(3), cameras[c], moments[c], aim=False) for c in range(3)]
-    V = [s.sent.values.reshape(3, 3) for s, _ in started]
+    V = [s.link.sent.values.reshape(3, 3) for s, _ in started]
     after, _ = refine_step(started[0][0], [(c, started[c][1][0].data) for c in (1, 2)])
     U, _, Wt = np.linalg.svd(sum(V))
     Z = U @ np.diag([1, 1, np.linalg.det(U @ Wt)]) @ Wt
@@ -131,7 +133,7 @@ def test_a_step_solves_sylvesters_equation(seed: int) -> None:
     dual = V[0] / p - Z
     R = solve_generalized_sylvester([A, p * np.eye(3)], [B, np.eye(3)], C + p * (Z - dual))
     np.testing.assert_allclose(
-        after.sent.values.reshape(3, 3), V[0] + RELAXATION * p * (R - Z), atol=1e-10 * np.abs(V[0]).max()
+        after.link.sent.values.reshape(3, 3), V[0] + RELAXATION * p * (R - Z), atol=1e-10 * np.abs(V[0]).max()
     )
 
 
@@ -145,7 +147,7 @@ def test_it_starts_at_the_mean_of_a_cameras_two_mirrored_solutions(seed: int) ->
     both = [alone.rotation, mirror @ alone.rotation @ mirror]
     q = quadratic_of(views_of(cameras[:1], moments[:1], aim=False))
     assert q.cost(both[1]) == pytest.approx(q.cost(both[0]), rel=1e-9, abs=1e-12 * float(q.scale))
-    start = state.sent.values.reshape(3, 3) / state.penalty
+    start = state.link.sent.values.reshape(3, 3) / state.penalty
     np.testing.assert_allclose(start, np.mean(both, axis=0), atol=1e-6)
     own = solve_one_camera(cameras[0], moments[0], aim=False).rotations
     np.testing.assert_allclose(start, own.mean(axis=0), atol=1e-14)
@@ -157,8 +159,8 @@ def test_a_camera_without_a_solution_of_its_own_adds_nothing() -> None:
     for spread in (0.0, 1e-8, 2e-7):
         x = 1.0 + spread * np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
         state, _ = refine_start(0, range(3), cameras[0], PairMoments.from_matches(x, x), aim=False)
-        assert (state.penalty > 0) == bool(state.sent.values.any()) == bool(state.evidence.weight)
-        assert np.isfinite(state.sent.values).all()
+        assert (state.penalty > 0) == bool(state.link.sent.values.any()) == bool(state.evidence.weight)
+        assert np.isfinite(state.link.sent.values).all()
 
 
 def test_a_step_is_a_pure_function() -> None:
@@ -190,17 +192,17 @@ def test_every_camera_knows_by_itself_that_all_agree_and_how_well() -> None:
     reference = solve_centralized(cameras, moments, aim=False)
     for state in converged_by_hand(cameras, moments):
         assert state.done
-        assert state.converged
-        assert state.used == (0, 1, 2, 3, 4)
+        assert state.verdict.converged
+        assert state.verdict.used == (0, 1, 2, 3, 4)
         assert state.rotation is not None
         assert angle(state.rotation, reference.rotation) < 1e-8
-        assert state.information is not None
-        np.testing.assert_allclose(state.information, reference.information, rtol=1e-6, atol=1e-6)
+        assert state.verdict.information is not None
+        np.testing.assert_allclose(state.verdict.information, reference.information, rtol=1e-6, atol=1e-6)
 
 
 def test_it_waits_for_all_and_repeats_what_they_may_lack() -> None:
     cameras, moments = problem(3, 3)
-    started = [refine_start(c, range(3), cameras[c], moments[c]) for c in range(3)]
+    started = [refine_start(c, range(3), cameras[c], moments[c], aim=False) for c in range(3)]
     zero, one = [s for s, _ in started[:2]]
     data = [out[0].data for _, out in started]
     waiting, packets = refine_step(zero, [(1, data[1])])  # camera 2 is not heard
@@ -222,10 +224,10 @@ def test_late_overtaken_and_foreign_messages_change_nothing() -> None:
     state, _ = refine_step(started[0][0], inbox)
     again = refine_step(state, inbox)[0]
     nothing = refine_step(state, [])[0]
-    np.testing.assert_array_equal(again.sent.values, nothing.sent.values)
+    np.testing.assert_array_equal(again.link.sent.values, nothing.link.sent.values)
     foreign = (7, encode(7, Message(1, True, False, np.eye(3).ravel())))
     own = (0, encode(0, Message(1, True, False, np.eye(3).ravel())))
-    np.testing.assert_array_equal(refine_step(state, [foreign, own])[0].sent.values, nothing.sent.values)
+    np.testing.assert_array_equal(refine_step(state, [foreign, own])[0].link.sent.values, nothing.link.sent.values)
 
 
 def test_a_silent_camera_is_dropped_and_one_alone_comes_to_an_end() -> None:
@@ -234,22 +236,23 @@ def test_a_silent_camera_is_dropped_and_one_alone_comes_to_an_end() -> None:
     state, _ = refine_step(started[0][0], [(c, started[c][1][0].data) for c in (1, 2)])
     for _ in range(PATIENCE):
         state, _ = refine_step(state, [])
-    assert state.used == (0, 1, 2)
+    assert state.shown == {}
     state, _ = refine_step(state, [])
-    assert state.used == (0,)
+    assert state.link.number == SHOW
     while not state.done:
         state, _ = refine_step(state, [])
-    assert state.round <= 120
+    assert state.verdict.used == (0,)
+    assert state.round <= PATIENCE + 6
 
 
 def test_one_huge_message_among_many_is_refused() -> None:
     cameras, moments = problem(5, 4)
-    started = [refine_start(c, range(4), cameras[c], moments[c]) for c in range(4)]
+    started = [refine_start(c, range(4), cameras[c], moments[c], aim=False) for c in range(4)]
     inbox = [(c, started[c][1][0].data) for c in (1, 2)]
-    huge = (3, encode(3, Message(0, True, False, 1e6 * started[3][0].sent.values)))
+    huge = (3, encode(3, Message(0, True, False, 1e6 * started[3][0].link.sent.values)))
     state, _ = refine_step(started[0][0], [*inbox, huge])
     assert state.refused == {3: "values that no camera has"}
-    assert state.used == (0, 1, 2)
+    assert tuple(state.members) == (0, 1, 2)
 
 
 # --- Exchange ---------------------------------------------------------------------------------------------------------
@@ -272,7 +275,7 @@ def test_moments_that_no_image_has_are_refused(kind: str) -> None:
     good = exchange_start(2, cameras, moments[2])[1][0].data
     state, _ = exchange_step(state, [(1, bad), (2, good)])
     assert state.done
-    assert state.used == (0, 2)
+    assert state.verdict.used == (0, 2)
     assert list(state.refused) == [1]
     assert "moments that no" in state.refused[1]
 
@@ -287,7 +290,7 @@ def test_gossip_ends_at_the_mean_from_any_start(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cameras, moments = problem(seed, 3)
     graph = [(0, 1), (1, 2)]
-    started = [gossip_start(c, 3, graph, cameras[c], moments[c]) for c in range(3)]
+    started = [gossip_start(c, 3, graph, cameras[c], moments[c], aim=False) for c in range(3)]
     states, out = [s for s, _ in started], [p for _, p in started]
     mean = np.asarray(np.mean([s.own for s in states], axis=0))
     junk = float(np.linalg.norm(mean)) * rng.normal(size=56)
@@ -320,5 +323,5 @@ def test_unseen_by_all_is_not_converged() -> None:
         refine, gossip = refine_step(refine, [])[0], gossip_step(gossip, [])[0]
     for state in (exchange, refine, gossip):
         assert state.done
-        assert not state.converged
-        assert state.rotation is None
+        assert not state.verdict.converged
+        assert state.verdict.rotation is None

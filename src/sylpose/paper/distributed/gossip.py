@@ -12,8 +12,11 @@ late only costs time, and a camera that goes away takes its own evidence with it
 for averaging by weights (Metropolis) nor for push-sum. With ρ = 1.5 / √(λ_2 λ_max), of the graph's Laplacian, it is as
 fast as accelerated averaging.
 
-What is well formed and false cannot be told here, and so spoils everybody's answer: evidence has been mixed before it
-arrives from anywhere but a neighbour.
+Evidence has been mixed before it arrives from anywhere but a neighbour: who is at fault it does not tell. So a camera that
+doubts, because no rotation explains its matches or because they do not allow what all have come to (`doubt_of`), calls for
+the evidence: from then on all pass on each other's moments instead, one camera's with each message, what was passed on least
+often first, until all have all; and each has the verdict on them. A camera that passes on what is false, of its own or of
+others, is not found out; an answer that its neighbours do not have no camera takes for good.
 
 Source: N. Bastianello, R. Carli, L. Schenato, M. Todescato, "Asynchronous distributed optimization over lossy networks
 via relaxed ADMM: stability and linear convergence" (2021); the choice of ρ is ours, by experiment.
@@ -31,9 +34,14 @@ from scipy.sparse.csgraph import shortest_path
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
+from sylpose.paper.affine_votes import AffineFits, affine_fits
+from sylpose.paper.bad_cameras import TRUSTED, doubt_of
 from sylpose.paper.distributed.evidence import EVIDENCE, evidence_of, packed, unpacked
+from sylpose.paper.distributed.keeping_step import PATIENCE
 from sylpose.paper.distributed.messages import Inbox, Message, Packet, encode, newest, read
-from sylpose.paper.distributed.refine import PATIENCE
+from sylpose.paper.distributed.passing_on import PASSED, Passing, begun, passed_on, passing_packets
+from sylpose.paper.distributed.verdict import UNKNOWN, Verdict
+from sylpose.paper.orthographic import views_of
 from sylpose.paper.so3 import minimize
 
 __all__ = ["GossipState", "gossip_start", "gossip_step"]
@@ -68,6 +76,7 @@ class GossipState:
     """One camera of `gossip`.
 
     Attributes:
+        camera_rotation, moments: (3, 3) Q and what it saw: shown when somebody calls for it. fits: its affine image.
         neighbours: those that it may hear. edges: those that it does hear.
         n_cameras: of the network. diameter: links between those farthest apart.
         own, mean: (56,) its evidence, and what it takes for the mean of all: H (45 numbers, upper triangle), h, constant
@@ -75,14 +84,19 @@ class GossipState:
         quiet: how often all neighbours were heard (but those that are still themselves) since the mean or any z changed.
         waiting: those not yet heard again.
         clean: no message of a neighbour was missed so far.
-        rotation, information: (3, 3) as in `CentralizedSolution`; None until `done`, and where nobody has evidence. The
-            information takes the mean times `n_cameras` for the sum.
-        converged: this camera and its neighbours have been quiet for longer than news take to go everywhere.
-        lingered: rounds since.
+        passing: what it was shown, once somebody has called for that (`passing_on`).
+        verdict: what it has come to; `converged` once this camera and its neighbours have been quiet for longer than news
+            take to go everywhere. The information takes the mean times `n_cameras` for the sum, the weights speak of this
+            camera and the neighbours that it hears: of those behind them it does not know.
+        lingered: rounds since then.
         refused: camera -> why a message was not read.
         round: steps made, at most `bound`. done: nothing will be sent any more.
     """
 
+    camera_rotation: FloatArray
+    moments: PairMoments
+    aim: bool
+    fits: AffineFits
     camera: int
     neighbours: tuple[int, ...]
     n_cameras: int
@@ -95,18 +109,12 @@ class GossipState:
     quiet: int = 0
     waiting: frozenset[int] = frozenset()
     clean: bool = True
-    rotation: FloatArray | None = None
-    information: FloatArray | None = None
-    converged: bool = False
+    passing: Passing | None = None
+    verdict: Verdict = UNKNOWN
     lingered: int = 0
     refused: dict[int, str] = field(default_factory=dict)
     round: int = 0
     done: bool = False
-
-    @property
-    def used(self) -> tuple[int, ...]:
-        """This camera and the neighbours that it hears; of those behind them it does not know."""
-        return tuple(sorted({self.camera, *self.edges}))
 
 
 def gossip_start(
@@ -138,17 +146,26 @@ def gossip_start(
         raise ValueError(f"the graph is not connected: cameras {', '.join(cut_off)} cannot reach camera 0")
     values = np.linalg.eigvalsh(laplacian)
     penalty = 1.5 / float(np.sqrt(values[1] * values[-1])) if n_cameras > 1 else 1.0
-    own = packed(evidence_of(rotation, moments, aim=aim))
+    Q = np.array(rotation, dtype=float)
+    own = packed(evidence_of(Q, moments, aim=aim))
+    fits = affine_fits(views_of(Q[None], [moments], aim=aim))
     neighbours = tuple(int(c) for c in np.flatnonzero(laplacian[camera] < 0))
-    s = GossipState(camera, neighbours, n_cameras, int(distance.max()), penalty, own, bound, own)
-    return s, _packets(s)
+    diameter = int(distance.max())
+    s = GossipState(Q, moments, aim, fits, camera, neighbours, n_cameras, diameter, penalty, own, bound, own)
+    return _called(s) if doubt_of(fits) > TRUSTED else (s, _packets(s))
 
 
 def gossip_step(state: GossipState, inbox: Inbox) -> tuple[GossipState, list[Packet]]:
-    """Hear the neighbours, mend the mean, say what it is; solve when all is still."""
-    s = state
+    """Hear the neighbours, mend the mean, say what it is; solve when all is still. Or pass on evidence, once called for."""
+    s = replace(state, round=state.round + 1)
     inbox = [(c, data) for c, data in inbox if c in s.neighbours]
-    messages, refused = read(inbox, (EVIDENCE,), s.refused)
+    messages, refused = read(inbox, (EVIDENCE, PASSED), s.refused)
+    s = replace(s, refused=refused)
+    if s.passing is not None:
+        return _passed(s, s.passing, inbox)
+    if any(m.values.size == PASSED for m in messages.values()):
+        s, packets = _called(s)
+        return (s, packets) if s.passing is None else _passed(s, s.passing, inbox)
     news = newest(messages, {c: e.round for c, e in s.edges.items()})
     edges, change = {}, 0.0
     for c in sorted({*s.edges, *news}):
@@ -170,23 +187,34 @@ def gossip_step(state: GossipState, inbox: Inbox) -> tuple[GossipState, list[Pac
         if not waiting:
             quiet, waiting = quiet + 1, frozenset(edges)
     converged = quiet > s.diameter and all(e.still for e in edges.values())
-    clean = s.clean and (news.keys() == edges.keys() == set(s.neighbours) or s.round == 0)
+    clean = s.clean and (news.keys() == edges.keys() == set(s.neighbours) or s.round == 1)
     lingered = s.lingered + 1 if converged else 0
-    s = replace(
-        s,
-        mean=mean,
-        edges=edges,
-        quiet=quiet,
-        waiting=waiting,
-        clean=clean,
-        converged=converged,
-        lingered=lingered,
-        refused=refused,
-        round=s.round + 1,
-        # The last message may get lost: it is repeated, for much longer where messages do get lost.
-        done=s.round + 1 >= s.bound or lingered > (2 if clean else PATIENCE),
-    )
-    return _solved(s) if s.done else s, _packets(s)
+    just_quiet = quiet > 0 and s.quiet == 0
+    s = replace(s, mean=mean, edges=edges, quiet=quiet, waiting=waiting, clean=clean, lingered=lingered)
+    if just_quiet and (found := _solved(s)).rotation is not None and doubt_of(s.fits, found.rotation) > TRUSTED:
+        return _called(s)
+    done = _over(s, lingered)
+    return replace(s, verdict=_solved(s) if done else UNKNOWN, done=done), _packets(s)
+
+
+def _over(s: GossipState, lingered: int) -> bool:
+    """The last message may get lost: it is repeated, for much longer where messages do get lost."""
+    return s.round >= s.bound or lingered > (2 if s.clean else PATIENCE)
+
+
+def _called(s: GossipState) -> tuple[GossipState, list[Packet]]:
+    """Shows its evidence, which makes its neighbours do so."""
+    passing = begun(s.camera, s.neighbours, s.n_cameras, s.camera_rotation, s.moments, s.aim)
+    passing, packets = passing_packets(passing, s.round, s.clean)
+    return replace(s, passing=passing, done=s.round >= s.bound), packets
+
+
+def _passed(s: GossipState, passing: Passing, inbox: Inbox) -> tuple[GossipState, list[Packet]]:
+    passing = passed_on(passing, inbox)
+    clean = s.clean and all(n <= 1 for n in passing.silent.values())
+    passing, packets = passing_packets(passing, s.round, clean)
+    s = replace(s, passing=passing, clean=clean, verdict=passing.verdict, refused={**passing.refused, **s.refused})
+    return replace(s, done=_over(s, passing.lingered)), packets
 
 
 def _packets(s: GossipState) -> list[Packet]:
@@ -198,15 +226,17 @@ def _packets(s: GossipState) -> list[Packet]:
     return out
 
 
-def _solved(s: GossipState) -> GossipState:
+def _solved(s: GossipState) -> Verdict:
+    """What the mean says."""
     evidence = unpacked(s.n_cameras * s.mean)
     if not (evidence.scale > 0 and evidence.weight > 0):
-        return replace(s, converged=False)
+        return UNKNOWN
     candidates = minimize(evidence.H, evidence.h)[0]
     costs = evidence.cost(candidates) / evidence.scale
     best = candidates[costs < costs.min() + EQUAL]
     rotation = best[np.argmax((_ORDER * best).sum(axis=(1, 2)))]
-    return replace(s, rotation=rotation, information=evidence.at(rotation).information)
+    weights = dict.fromkeys([s.camera, *s.edges], 1.0)
+    return Verdict(rotation, evidence.at(rotation).information, s.lingered > 0, weights=weights)
 
 
 def _laplacian(n: int, graph: Iterable[tuple[int, int]]) -> FloatArray:

@@ -15,33 +15,25 @@ place of the multiplier. Its left side stays what it is: it is solved once, for 
 As the nearest rotation does not depend on scale, penalties may differ and no camera need know another's. Where nothing
 changes any more, R_c = Z for all c and Σ (C_c - A_c Z B_c) = L Z with L = L', the centralised equation.
 
-All keep step: a camera waits until it has heard everybody's last message and repeats its own meanwhile, so that loss and
-delay cost rounds and change nothing. Each then knows how all V changed in the last steps, and extrapolates them
-(Anderson), all alike: 25 to 35 steps instead of 50 and, for views near one plane, of a thousand.
+All keep step (`keeping_step`). Each then knows how all V changed in the last steps, and extrapolates them (`anderson`), all
+alike: 25 to 35 steps instead of 50 and, for views near one plane, of a thousand. Where all have settled at a saddle, or the
+extrapolation has led astray, they leap (`leaping`): 72 and 40 bytes more.
 
-Extrapolation finds where nothing changes, which may be a saddle; starts halfway between mirrored solutions are often near
-one, and where the cameras see little of the depth it is far from both minima and hardly steeper than they. So where all
-have settled at a saddle, or the extrapolation has led astray, they leap: all tell their Hessians (72 bytes more), then
-their costs along the flattest axis of the sum, which are five numbers each (40 bytes more), and all start again from the
-lowest point of that curve.
-
-A camera that is not heard for long, or comes late, ends the keeping of step for good. The others then go on with the
-last V that they know of each other: any messages lead to the same answer, but as slowly as plain ADMM does.
-
-Nonsense is refused: wrong sizes, values that are not finite or far larger than all others', a rotation that never
-settles. A camera that calmly insists on one false rotation is believed, as one with wrong matches is; that is for
-`paper.bad_cameras` to find. Nor is the scheme secret: about ten rounds of V are enough to work out H_c and h_c.
+When all have settled each says how well the common rotation suits it: whether its own matches allow it (`doubt_of`). Who
+doubts, or finds that another has not come to the same rotation, that a camera has died or come late, or that there is no
+end, calls for the evidence: all show their moments, and each has the verdict on them (`showing`). So only rotations are
+revealed as long as nobody doubts, and bad cameras and liars are found by what they show. Nor is the scheme secret: about
+ten rounds of V are enough to work out H_c and h_c.
 
 Source: C. Chen, D. Schonfeld, "Pose estimation from multiple cameras based on Sylvester's equation" (2010), for the
-scheme; S. Boyd et al., "Distributed optimization and statistical learning via ADMM" (2011), sections 3 and 7;
-D. G. Anderson, "Iterative procedures for nonlinear integral equations" (1965). The rest is ours.
+scheme; S. Boyd et al., "Distributed optimization and statistical learning via ADMM" (2011), sections 3 and 7. The rest
+is ours.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -50,32 +42,36 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
+from sylpose.paper.affine_votes import AffineFits, affine_fits
+from sylpose.paper.bad_cameras import TRUSTED, doubt_of
+from sylpose.paper.distributed import leaping
+from sylpose.paper.distributed.anderson import History, extended, extrapolated
 from sylpose.paper.distributed.evidence import evidence_of
-from sylpose.paper.distributed.messages import Inbox, Message, Packet, encode, newest, read
+from sylpose.paper.distributed.keeping_step import Link, heard, packets, said
+from sylpose.paper.distributed.messages import Inbox, Message, Packet
+from sylpose.paper.distributed.showing import AGREED, SHOW, agreeing, answered, concluded, shown_by
+from sylpose.paper.distributed.verdict import UNKNOWN, Verdict
 from sylpose.paper.equation import solve_generalized_sylvester
 from sylpose.paper.one_camera import solve_one_camera
 from sylpose.paper.orthographic import terms_of, views_of
 from sylpose.paper.so3 import FLAT, LEAST, Quadratic, derivatives
 
-__all__ = ["PATIENCE", "RefineState", "refine_start", "refine_step"]
+__all__ = ["RefineState", "refine_start", "refine_step"]
 
 
 # p_c over trace(H_c), and over-relaxation (measured: docs/benchmarks.md#distributed, plain and extrapolated).
 PENALTY, RELAXATION = 0.1, 1.6
-# Rounds that the extrapolation looks back: more than the 9 unknowns of a rotation's matrix (choice).
-MEMORY = 10
 # Relative change of a message that is none: well above rounding's 1e-16, well below 1e-8 rad (choice).
 SETTLED = 1e-11
-# Rounds of silence after which a camera is gone: at 30 % of loss once in 3e10 (derived).
-PATIENCE = 20
-# Leaps off a saddle, at most (choice).
-LEAPS = 5
-# A message this many times the median of all is nonsense: cameras have that many times more matches at most (choice).
-HUGE = 1e3
-# Mean relative change of the messages of a camera that never settles; random rotations make 1.4 (choice).
-WANDERING = 0.3
+# Steps after which there will be no end (choice: twice the most of all rigs and recordings,
+# docs/benchmarks.md#distributed).
+LONG = 150
+# A first message so many times the median of all is nonsense: a camera may have a thousand times the matches of another,
+# nearer by (choice).
+HUGE = 1e5
 
-SIZES = (9, 18, 23)  # V, report, curve: 9, 9 and 5 numbers (derived)
+# V, 9 numbers; a report, 13 more; a curve, 5 more (derived).
+SIZES = (9, 22, 27)
 
 _UPPER = np.triu_indices(3)
 
@@ -85,20 +81,14 @@ class Member(NamedTuple):
 
     Attributes:
         V: (3, 3) as it enters the mean.
-        change: relative change by the last message; wander: its mean over the last ten or so.
-        report: in its newest message, if it has settled or is to leap: Hessian (6), cost, size and weight of its
-            evidence at its Z, then the five numbers of `_curve`. Else empty.
-        final: it has settled.
-        round: of its newest message. heard: messages so far.
+        change: relative change by the last message.
+        report: in its newest message, if it has settled or is to leap: of its evidence at its Z the Hessian (6), cost, size
+            and weight; how much it doubts; Z as a rotation vector; then the five numbers of a curve. Else empty.
     """
 
     V: FloatArray
     change: float
-    wander: float
     report: FloatArray
-    final: bool
-    round: int
-    heard: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,69 +96,63 @@ class RefineState:
     """One camera of `refine`.
 
     Attributes:
+        camera_rotation, moments: (3, 3) Q and what it saw: shown when somebody calls for it. fits: its affine image.
         evidence, penalty, gain: its H_c, h_c; p_c; p_c times the solutions of A_c R B_c + p_c R = E_k, columns of (9, 9).
-        sent: its last message.
+        link: what it has said and heard. Message n of all is what step n is made with.
         members: the cameras that take part.
-        history: (V, change of V) of the last rounds, all members in order.
-        clean: all keep step.
-        step: steps made: while `clean`, each with everybody's message of the same number.
-        before: the message before `sent`, for those who have not got it yet.
-        waiting: (camera, number) -> message that came and is yet to be used.
-        silent: camera -> rounds since anything was heard of it.
+        history: of all members' V (`anderson`).
         astray: the extrapolation has led astray; settled or not, a leap is to come.
-        line: axis (3,) and rotation that the curve in `sent` is of, if there is one.
-        leapt: a leap, no step of ADMM, led to `sent`. leaps: how many there were.
-        rotation: (3, 3) Z, the answer so far; None where nobody has evidence.
-        information: (3, 3) as in `CentralizedSolution`, from all reports; None until `converged`.
-        converged: all have settled, at a minimum. lingered: steps since.
-        refused: camera -> why a message was not read, or why nothing is read of it any more (`blocked`).
+        line: axis (3,) and rotation that the curve in its last message is of, if there is one.
+        leapt: a leap, no step of ADMM, led to its last message. leaps: how many there were.
+        rotation: (3, 3) Z, what all steps so far come to; None where nobody has evidence.
+        shown: camera -> what it has shown, once all have.
+        verdict: what it has come to.
         round: rounds, at most `bound`. done: nothing will be sent any more.
     """
 
-    camera: int
-    others: tuple[int, ...]
+    camera_rotation: FloatArray
+    moments: PairMoments
+    aim: bool
+    fits: AffineFits
     evidence: Quadratic
     penalty: float
     gain: FloatArray
     bound: int
-    sent: Message
+    link: Link
     members: dict[int, Member] = field(default_factory=dict)
-    history: tuple[tuple[FloatArray, FloatArray], ...] = ()
-    clean: bool = True
-    step: int = 0
-    before: Message | None = None
-    waiting: dict[tuple[int, int], Message] = field(default_factory=dict)
-    silent: dict[int, int] = field(default_factory=dict)
+    history: History = ()
     astray: bool = False
     line: tuple[FloatArray, FloatArray] | None = None
     leapt: bool = False
     leaps: int = 0
     rotation: FloatArray | None = None
-    information: FloatArray | None = None
-    converged: bool = False
-    lingered: int = 0
-    refused: dict[int, str] = field(default_factory=dict)
-    blocked: frozenset[int] = frozenset()
+    shown: dict[int, FloatArray] = field(default_factory=dict)
+    verdict: Verdict = UNKNOWN
     round: int = 0
     done: bool = False
 
     @property
-    def used(self) -> tuple[int, ...]:
-        """The cameras that the answer is from."""
-        return tuple(sorted(self.members))
+    def camera(self) -> int:
+        """Its number."""
+        return self.link.camera
 
     @property
-    def missing(self) -> tuple[int, ...]:
-        """Those whose message is needed for the next step and not there; nobody waits for one that talks nonsense."""
-        expected = self.members if self.step else set(self.others) - self.refused.keys()
-        return tuple(c for c in expected if c != self.camera and (c, self.step) not in self.waiting)
+    def refused(self) -> dict[int, str]:
+        """Camera -> why nothing is read of it any more."""
+        return self.link.refused
+
+    @property
+    def awaited(self) -> tuple[int, ...]:
+        """Those whose message is needed for the next step and not there."""
+        step = self.link.number
+        return self.link.missing(self.members if 0 < step < SHOW else self.link.others)
 
 
 def refine_start(
     camera: int, others: Iterable[int], rotation: ArrayLike, moments: PairMoments, *, aim: bool = True, bound: int = 500
 ) -> tuple[RefineState, list[Packet]]:
     """A camera and its first message: its own solution (`solve_one_camera`), the mean of the two mirrored ones that it
-    cannot tell apart.
+    cannot tell apart. A camera whose matches no rotation explains calls for the evidence at once.
 
     Args:
         camera: its number, from 0 on. others: those that it may hear.
@@ -176,193 +160,146 @@ def refine_start(
         aim: as in `solve_centralized`.
         bound: rounds after which it gives up.
     """
-    e = evidence_of(rotation, moments, aim=aim)
-    own = solve_one_camera(rotation, moments, aim=aim).rotations.mean(axis=0)
+    Q = np.array(rotation, dtype=float)
+    e = evidence_of(Q, moments, aim=aim)
+    views = views_of(Q[None], [moments], aim=aim)
+    own = solve_one_camera(Q, moments, aim=aim).rotations.mean(axis=0)
     penalty, gain, V = 0.0, np.zeros((9, 9)), np.zeros((3, 3))
     if not np.isfinite(own).all():
         e = Quadratic.zero()
     if e.weight > 0:
         penalty = PENALTY * float(np.trace(e.H))
-        A, B = terms_of(views_of(np.asarray(rotation, dtype=float)[None], [moments], aim=aim))[:2]
+        A, B = terms_of(views)[:2]
         right_sides = np.eye(9).reshape(9, 3, 3)
         solved = solve_generalized_sylvester([A[0], penalty * np.eye(3)], [B[0], np.eye(3)], right_sides)
         gain, V = penalty * solved.reshape(9, 9).T, penalty * own
-    message = Message(0, True, False, V.ravel())
-    s = RefineState(camera, tuple(c for c in others if c != camera), e, penalty, gain, bound, message)
-    return s, _packets(s)
+    link = Link(camera, tuple(c for c in others if c != camera), Message(0, True, False, V.ravel()))
+    s = RefineState(Q, moments, aim, affine_fits(views), e, penalty, gain, bound, link)
+    if doubt_of(s.fits) > TRUSTED:
+        s = _called(s)
+    return s, packets(s.link)
 
 
 def refine_step(state: RefineState, inbox: Inbox) -> tuple[RefineState, list[Packet]]:
     """Hear the others; once all have been heard, take one step; say where one is."""
-    s, news = _awaited(replace(state, round=state.round + 1), inbox)
-    if news is None:
-        over = s.converged and all(s.silent[c] > PATIENCE for c in s.missing)
-        return replace(s, done=over or s.round >= s.bound), _packets(s, again=s.missing)
-    s = _without_strays(_updated(s, news))
-    s = replace(s, step=s.step + 1, before=s.sent)
-    V = s.members[s.camera].V
+    n = 1 + len(state.link.others)
+    link = heard(state.link, inbox, SIZES, {SHOW: 54, SHOW + 1: n, SHOW + 2: 9})
+    s = replace(state, round=state.round + 1, link=link)
+    if link.number < SHOW and _in_doubt(s):
+        s = _called(s)
+        return replace(s, done=s.round >= s.bound), packets(s.link)
+    again = tuple(c for c in s.awaited if not link.gone(c))
+    if not again:
+        s = replace(s, done=True) if s.verdict.converged else _advanced(s)
+    return replace(s, done=s.done or s.round >= s.bound), packets(s.link, again)
+
+
+def _in_doubt(s: RefineState) -> bool:
+    """Whether something is not as it should be, as far as its messages show."""
+    late = s.members and any(s.link.silent[c] == 0 for c in s.link.others if c not in s.members and c not in s.refused)
+    died = not s.verdict.converged and any(s.link.gone(c) for c in s.awaited) and s.link.number > 0
+    calls = any(n >= SHOW for _, n in s.link.waiting)
+    return bool(late or died or calls or s.link.behind or s.link.number >= LONG)
+
+
+def _called(s: RefineState) -> RefineState:
+    """Shows its evidence, which makes the others do so."""
+    return replace(s, link=shown_by(s.link, s.camera_rotation, s.moments), verdict=UNKNOWN)
+
+
+def _advanced(s: RefineState) -> RefineState:
+    """With everybody's messages."""
+    if s.link.number < SHOW:
+        return _refined(_updated(s))
+    if s.link.number == SHOW:
+        link, shown = answered(s.link, s.aim)
+        return replace(s, link=link, shown=shown)
+    if s.link.number == SHOW + 1:
+        link, verdict = concluded(s.link, s.shown, s.aim)
+        return replace(s, link=link, verdict=verdict, rotation=verdict.rotation)
+    return replace(s, verdict=agreeing(s.link, s.verdict), done=True)
+
+
+def _updated(s: RefineState) -> RefineState:
+    """With what all have sent, this camera included; extrapolated."""
+    news = {**s.link.there(), s.camera: s.link.sent}
+    size = {c: float(np.linalg.norm(m.values[:9])) for c, m in news.items()}
+    usual = np.median([v for v in size.values() if v > 0] or [0.0])
+    huge = [c for c in news if c != s.camera and size[c] > HUGE * usual]
+    if s.link.number == 0:
+        s = replace(s, link=s.link.refusing(dict.fromkeys(huge, "values that no camera has")))
+        news = {c: news[c] for c in news if c not in huge}
+    members = {}
+    for c in sorted(news):  # sums come out the same at every camera
+        V, old = news[c].values[:9].reshape(3, 3), s.members.get(c)
+        change = 1.0 if old is None else float(np.linalg.norm(V - old.V)) / (size[c] or 1.0)
+        members[c] = Member(V, change, news[c].values[9:])
+    history: History = ()
+    if s.link.number > 0 and not s.leapt:
+        before = np.array([s.members[c].V for c in members])
+        history, jumped = extended(s.history, before, np.array([m.V for m in members.values()]) - before)
+        s = replace(s, astray=s.astray or (jumped and s.leaps < leaping.LEAPS))
+        V = extrapolated(history)
+        members = {c: m._replace(V=v) for (c, m), v in zip(members.items(), V, strict=True)}
+    return replace(s, members=members, history=history)
+
+
+def _refined(s: RefineState) -> RefineState:
+    """One step of ADMM, or a leap, or a call for the evidence."""
+    V, step = s.members[s.camera].V, s.link.number + 1
     total = np.sum([m.V for m in s.members.values()], axis=0)
     if not total.any():
-        s = replace(s, rotation=None, converged=False, done=s.round >= s.bound)
-        s = replace(s, sent=Message(s.step, s.clean, False, V.ravel()))
-        return s, _packets(s)
+        return replace(s, rotation=None, link=said(s.link, Message(step, True, False, V.ravel())))
     Z = _nearest_rotation(total)
     R = (s.gain @ (s.evidence.h + (2 * s.penalty * Z - V).ravel())).reshape(3, 3)  # times p
     V = V + RELAXATION * (R - s.penalty * Z)
-    # A camera that hears nobody waits: the others may only be late.
-    settled = max(m.change for m in s.members.values()) < SETTLED and (len(s.members) > 1 or s.round > PATIENCE)
-    own = _report(s.evidence, Z) if settled or s.astray else np.zeros(0)
+    settled = max(m.change for m in s.members.values()) < SETTLED
+    own = _report(s, Z) if settled or s.astray else np.zeros(0)
     reports = {c: own if c == s.camera else m.report for c, m in s.members.items()}
-    information, line, leap = None, None, False
+    verdict, line, leap = UNKNOWN, None, False
     if all(r.size for r in reports.values()):
         hessian, cost, size, weight = _unpacked(np.sum([r[:9] for r in reports.values()], axis=0))
         curvature, axes = np.linalg.eigh(hessian)
+        if settled:
+            others = Rotation.from_rotvec([r[10:13] for r in reports.values()]).as_matrix()
+            apart = np.linalg.norm(others - Z, axis=(1, 2)).max()
+            if apart > AGREED or max(r[9] for r in reports.values()) > TRUSTED:
+                return _called(s)
         if settled and curvature[0] > -FLAT * curvature[2] and weight > 0:
             information = hessian * (weight / max(cost, LEAST * size))
-        elif s.leaps < LEAPS:
+            verdict = Verdict(Z, information, True, weights=dict.fromkeys(s.members, 1.0))
+        elif s.leaps < leaping.LEAPS:
             line = (axes[:, 0], Z)
-            own = np.concatenate([own, _curve(s.evidence, *line)])
-            leap = s.line is not None and all(r.size > 9 for c, r in reports.items() if c != s.camera)
+            own = np.concatenate([own, leaping.curve_of(s.evidence, *line)])
+            leap = s.line is not None and all(r.size > 13 for c, r in reports.items() if c != s.camera)
+        elif settled:
+            return _called(s)
     if leap and s.line is not None:
-        curves = [s.sent.values[18:] if c == s.camera else r[9:] for c, r in reports.items()]
-        Z = _lowest(np.sum(curves, axis=0), *s.line)
+        curves = [s.link.sent.values[22:] if c == s.camera else r[13:] for c, r in reports.items()]
+        Z = leaping.lowest(np.sum(curves, axis=0), *s.line)
         V = s.penalty * Z - (s.evidence.H @ Z.ravel() - s.evidence.h).reshape(3, 3)
         own, line = np.zeros(0), None
-    converged = information is not None
-    lingered = s.lingered + 1 if converged else 0
-    s = replace(
+    message = Message(step, True, settled and line is None and not leap, np.concatenate([V.ravel(), own]))
+    return replace(
         s,
-        sent=Message(s.step, s.clean, settled and line is None and not leap, np.concatenate([V.ravel(), own])),
+        link=said(s.link, message),
         astray=s.astray and not leap,
         line=line,
         leapt=leap,
         leaps=s.leaps + leap,
         rotation=Z,
-        information=information,
-        converged=converged,
-        lingered=lingered,
-        # Out of step, the last message may get lost: it is repeated.
-        done=s.round >= s.bound or lingered > PATIENCE,
-    )
-    return s, _packets(s)
-
-
-def _packets(s: RefineState, again: Iterable[int] = ()) -> list[Packet]:
-    """Its message; to those who may lack it, the one before again."""
-    packets = [Packet(s.others, encode(s.camera, s.sent))] if s.others else []
-    late = tuple(again)
-    return [*packets, Packet(late, encode(s.camera, s.before))] if late and s.before is not None else packets
-
-
-def _awaited(s: RefineState, inbox: Inbox) -> tuple[RefineState, dict[int, Message] | None]:
-    """What the next step is to be made with; None: no step yet, or never again."""
-    inbox = [(c, data) for c, data in inbox if c in s.others and c not in s.blocked]
-    news, refused = read(inbox, SIZES, s.refused)
-    silent = {c: 0 if any(c == k for k, _ in news) else s.silent.get(c, 0) + 1 for c in s.others}
-    waiting = {key: m for key, m in {**s.waiting, **news}.items() if key[1] >= s.step}
-    s = replace(s, refused=refused, silent=silent, waiting=waiting)
-    broken = any(n > s.step + 1 or not m.clean or (s.step and c not in s.members) for (c, n), m in waiting.items())
-    if s.clean and not broken:
-        if s.converged or any(silent[c] <= PATIENCE for c in s.missing):
-            return s, None
-        return s, {c: m for (c, n), m in waiting.items() if n == s.step}
-    seen = {c: m.round for c, m in s.members.items()}
-    return replace(s, waiting={}), newest({**waiting, **news}, seen)
-
-
-def _updated(s: RefineState, news: dict[int, Message]) -> RefineState:
-    """With what all have sent, this camera included; extrapolated while all know all."""
-    news, refused = {**news, s.camera: s.sent}, dict(s.refused)
-    size = {c: float(np.linalg.norm(m.values[:9])) for c, m in news.items()}
-    usual = np.median([v for v in size.values() if v > 0] or [0.0])
-    for c in news.keys() - {s.camera}:
-        if size[c] > HUGE * usual or (news[c].values[15:18] < 0).any():
-            refused.setdefault(c, "values that no camera has")
-            del news[c]
-    # Who has settled may be silent: its last message was final.
-    members = {c: m for c, m in s.members.items() if s.silent.get(c, 0) <= PATIENCE or m.final}
-    for c, message in news.items():
-        V, old = message.values[:9].reshape(3, 3), s.members.get(c)
-        change = 1.0 if old is None else float(np.linalg.norm(V - old.V)) / (size[c] or 1.0)
-        wander = change if old is None else 0.9 * old.wander + 0.1 * change
-        heard = 1 if old is None else old.heard + 1
-        members[c] = Member(V, change, wander, message.values[9:], message.final, message.round, heard)
-    members = dict(sorted(members.items()))  # sums come out the same at every camera
-    # The first step makes all acquainted; from then on all must be heard in every one.
-    expected = news.keys() if s.step == 0 else s.members.keys()
-    clean = news.keys() == expected and all(m.clean and m.round == s.step for m in news.values())
-    s = replace(s, refused=refused, clean=s.clean and clean, astray=s.astray and s.clean and clean)
-    history: tuple[tuple[FloatArray, FloatArray], ...] = ()
-    if s.clean and s.step > 0 and not s.leapt:
-        V = np.array([s.members[c].V for c in members])
-        step = np.array([m.V for m in members.values()]) - V
-        if s.history:
-            if np.linalg.norm(step) < 2 * min(np.linalg.norm(f) for _, f in s.history):
-                history = s.history
-            elif s.leaps < LEAPS:
-                s = replace(s, astray=True)
-        history = (*history, (V, step))[-MEMORY - 1 :]
-        V = _extrapolated(history)
-        members = {c: m._replace(V=v) for (c, m), v in zip(members.items(), V, strict=True)}
-    return replace(s, members=members, history=history)
-
-
-def _extrapolated(history: tuple[tuple[FloatArray, FloatArray], ...]) -> FloatArray:
-    """Anderson's: the combination of the last V whose steps cancel best, with its own step. (C, 3, 3)."""
-    V, step = history[-1]
-    if len(history) < 4:
-        return np.asarray(V + step)
-    weight = 1 / np.sqrt(np.linalg.norm(V, axis=(1, 2)) + 1e-300)[:, None, None]
-    steps = np.array([b - a for (_, a), (_, b) in pairwise(history)])
-    images = np.array([(vb + b) - (va + a) for (va, a), (vb, b) in pairwise(history)])
-    A = (weight * steps).reshape(len(steps), -1)
-    unit = 1 / np.maximum(np.linalg.norm(A, axis=1), 1e-300)
-    A = A * unit[:, None]
-    mix = unit * np.linalg.solve(A @ A.T + 1e-12 * np.eye(len(A)), A @ (weight * step).ravel())
-    return np.asarray(V + step - np.tensordot(mix, images, 1))
-
-
-def _without_strays(s: RefineState) -> RefineState:
-    """Without the cameras whose rotation still jumps about when everybody's should long have settled."""
-    usual = float(np.median([m.wander for m in s.members.values()]))
-    strays = {
-        c
-        for c, m in s.members.items()
-        if c != s.camera and m.heard > 1.5 * PATIENCE and m.wander > max(WANDERING, 2 * usual)
-    }
-    if not strays:
-        return s
-    return replace(
-        s,
-        members={c: m for c, m in s.members.items() if c not in strays},
-        history=(),
-        clean=False,
-        refused={**s.refused, **dict.fromkeys(strays, "its rotation never settles")},
-        blocked=s.blocked | strays,
+        verdict=verdict,
     )
 
 
-def _report(e: Quadratic, rotation: FloatArray) -> FloatArray:
-    hessian = derivatives(e.H, e.h, rotation)[1]
-    return np.array([*hessian[_UPPER], max(float(e.cost(rotation)), 0.0), e.size, e.weight])
-
-
-def _curve(e: Quadratic, axis: FloatArray, rotation: FloatArray) -> FloatArray:
-    """(5,) of the cost at exp(a axis) R: the coefficients of 1, cos a, sin a, cos 2a, sin 2a, which is all there is."""
-    angles = np.asarray(2 * np.pi / 5 * np.arange(5), dtype=float)
-    costs = e.cost(Rotation.from_rotvec(angles[:, None] * axis).as_matrix() @ rotation) - e.constant
-    return np.asarray(np.linalg.solve(_waves(angles), costs), dtype=float)
-
-
-def _lowest(curve: FloatArray, axis: FloatArray, rotation: FloatArray) -> FloatArray:
-    """(3, 3) the rotation at the lowest point of a curve."""
-    angles = np.linspace(-np.pi, np.pi, 1001)
-    lowest = angles[np.argmin(_waves(angles) @ curve)]
-    return np.asarray(Rotation.from_rotvec(lowest * axis).as_matrix() @ rotation)
-
-
-def _waves(a: FloatArray) -> FloatArray:
-    return np.column_stack([np.ones_like(a), np.cos(a), np.sin(a), np.cos(2 * a), np.sin(2 * a)])
+def _report(s: RefineState, Z: FloatArray) -> FloatArray:
+    """(13,) what it says of a rotation (`Member`)."""
+    e = s.evidence
+    hessian = derivatives(e.H, e.h, Z)[1]
+    cost = max(float(e.cost(Z)), 0.0)
+    return np.array(
+        [*hessian[_UPPER], cost, e.size, e.weight, doubt_of(s.fits, Z), *Rotation.from_matrix(Z).as_rotvec()]
+    )
 
 
 def _unpacked(report: FloatArray) -> tuple[FloatArray, float, float, float]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, Literal, NamedTuple, Protocol, TypeVar, get_args
+from typing import Generic, NamedTuple, Protocol, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,15 +23,15 @@ from sylpose.numerics.matrices import checked_rotations, kron
 from sylpose.paper.centralized import status_of, unseen_turns
 from sylpose.paper.distributed.exchange import exchange_start, exchange_step
 from sylpose.paper.distributed.gossip import gossip_start, gossip_step
-from sylpose.paper.distributed.messages import HEADER, Inbox, Packet
+from sylpose.paper.distributed.messages import Inbox, Packet
+from sylpose.paper.distributed.nonsense import Nonsense, garbled
 from sylpose.paper.distributed.refine import refine_start, refine_step
+from sylpose.paper.distributed.verdict import UNKNOWN, Verdict
 from sylpose.paper.orthographic import quadratic_of, views_of
 from sylpose.paper.so3 import CERTIFICATE
-from sylpose.results import RotationEstimate
+from sylpose.results import RotationEstimate, Status
 
 __all__ = ["Agreement", "Disturbances", "Nonsense", "run", "solve_exchange", "solve_gossip", "solve_refine"]
-
-Nonsense = Literal["nan", "huge", "long", "truncated", "false"]
 
 AGREED = 1e-7  # radians between the answers of cameras that agree: ten times what is asked of each (choice)
 
@@ -45,8 +45,7 @@ class Disturbances:
         delay: a packet is late by 0 to so many rounds, drawn for each; later ones may overtake it.
         dies: camera -> round from which on it does nothing.
         joins: camera -> round in which it starts.
-        nonsense: camera -> what comes of its packets: "nan" and "huge" values, "long" and "truncated" bytes, "false" values
-            that are well formed and mean nothing (another random rotation, say, in every round).
+        nonsense: camera -> what comes of its packets (`garbled`).
         seed: of all that is drawn.
 
     Raises:
@@ -75,15 +74,9 @@ class CameraState(Protocol):
     """What the state of every scheme tells."""
 
     @property
-    def rotation(self) -> FloatArray | None: ...
-    @property
-    def information(self) -> FloatArray | None: ...
-    @property
-    def used(self) -> tuple[int, ...]: ...
+    def verdict(self) -> Verdict: ...
     @property
     def refused(self) -> dict[int, str]: ...
-    @property
-    def converged(self) -> bool: ...
     @property
     def done(self) -> bool: ...
 
@@ -96,8 +89,9 @@ class Agreement(RotationEstimate):
     """What C cameras came to.
 
     Attributes:
-        status: NOT_CONVERGED unless all live cameras that nobody refused converged to one rotation; then as that of the
-            centralised estimator: TURN_NOT_OBSERVABLE, NOT_CERTIFIED or OK.
+        status: NOT_CONVERGED unless all live cameras that nobody refused, nor found at fault, converged to one rotation;
+            then NOT_CONSISTENT where one of them does not know which cameras are at fault; then as that of the centralised
+            estimator: TURN_NOT_OBSERVABLE, NOT_CERTIFIED or OK.
         rotation: (3, 3) the one they agree on, X_j = R X_i + t in the world frame: the first such camera's. NaN if none
             converged.
         information, unseen: (3, 3) and (k, 3) as in `CentralizedSolution`, as that camera found it.
@@ -108,6 +102,7 @@ class Agreement(RotationEstimate):
         converged: (C,) as each camera says of itself.
         spread: largest angle between `rotation` and that of another such camera, radians.
         used: the cameras whose evidence is in `rotation`.
+        faults: camera -> what is wrong with what it saw, as the others found.
         refused: camera -> why another one did not listen to it.
         sent, received: (C,) bytes; a packet to several cameras is sent once.
     """
@@ -117,6 +112,7 @@ class Agreement(RotationEstimate):
     converged: BoolArray
     spread: float
     used: tuple[int, ...]
+    faults: dict[int, str]
     refused: dict[int, str]
     sent: IntArray
     received: IntArray
@@ -235,9 +231,11 @@ def run(
             states[c], packets = starts[c]() if state is None else step(state, inboxes[c])
             for packet in packets:
                 kind = disturbances.nonsense.get(c)
-                data = packet.data if kind is None else _nonsense(kind, packet.data, rng)
-                sent[c] += len(data)
-                for to in packet.to:
+                for k, to in enumerate(packet.to):
+                    # Who says the same to all sends it once.
+                    if k == 0 or kind == "two-faced":
+                        data = packet.data if kind is None else garbled(kind, packet.data, to, rng)
+                        sent[c] += len(data)
                     if rng.random() >= disturbances.loss:
                         late = int(rng.integers(disturbances.delay + 1))
                         under_way.setdefault(now + 1 + late, []).append((to, c, data))
@@ -259,31 +257,35 @@ def _checked(rotations: ArrayLike, moments: Sequence[PairMoments], aim: bool, di
 
 def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome: Outcome[State]) -> Agreement:
     states = outcome.states
-    found = [None if s is None else s.rotation for s in states]
-    converged = np.array([s is not None and s.converged for s in states])
+    verdicts = [UNKNOWN if s is None else s.verdict for s in states]
     refused = {c: why for s in reversed(states) if s is not None for c, why in s.refused.items()}
-    judged = [c for c, alive in enumerate(outcome.alive) if alive and c not in refused]
-    good = [s for c in judged if (s := states[c]) is not None and s.converged]
+    trusted = [c for c, alive in enumerate(outcome.alive) if alive and c not in refused]
+    faults = {c: why for k in reversed(trusted) for c, why in verdicts[k].faults.items() if c not in refused}
+    judged = [c for c in trusted if c not in faults]
+    good = [v for c in judged if (v := verdicts[c]).converged and v.rotation is not None]
     rotation, information, certified, spread = np.full((3, 3), np.nan), np.zeros((3, 3)), False, np.inf
-    used = tuple(sorted({c for s in good for c in s.used}))
-    answers = [s.rotation for s in good if s.rotation is not None]
-    if good and good[0].rotation is not None and good[0].information is not None:
-        rotation, information = good[0].rotation, good[0].information
-        spread = max(float(Rotation.from_matrix(rotation.T @ other).magnitude()) for other in answers)
-        certified = _certified(Q[list(used)], [moments[c] for c in used], aim, rotation)
+    if good and (first := good[0]).rotation is not None and first.information is not None:
+        rotation, information = first.rotation, first.information
+        others = [v.rotation for v in good if v.rotation is not None]
+        spread = max(float(Rotation.from_matrix(rotation.T @ other).magnitude()) for other in others)
+        weights = dict(sorted((c, w) for v in good for c, w in v.weights.items()))
+        weighted = [PairMoments(w * moments[c].matrix) for c, w in weights.items()]
+        certified = _certified(Q[list(weights)], weighted, aim, rotation)
     unseen = unseen_turns(information)
     agreed = len(good) == len(judged) > 0 and spread < AGREED
+    status = status_of(agreed, certified, unseen)
     return Agreement(
-        status=status_of(agreed, certified, unseen),
+        status=status if not agreed or all(v.consistent for v in good) else Status.NOT_CONSISTENT,
         rotation=rotation,
         information=information,
         unseen=unseen,
         iterations=outcome.rounds,
         certified=certified,
-        rotations=np.array([np.full((3, 3), np.nan) if r is None else r for r in found]),
-        converged=converged,
+        rotations=np.array([np.full((3, 3), np.nan) if v.rotation is None else v.rotation for v in verdicts]),
+        converged=np.array([v.converged for v in verdicts]),
         spread=spread,
-        used=used,
+        used=tuple(sorted({c for v in good for c in v.used})),
+        faults=dict(sorted(faults.items())),
         refused=dict(sorted(refused.items())),
         sent=outcome.sent,
         received=outcome.received,
@@ -296,23 +298,3 @@ def _certified(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, rotatio
     at = q.at(rotation)
     K = q.H + kron(at.multiplier, np.eye(3))
     return bool(at.stationary and np.linalg.eigvalsh(K)[0] > CERTIFICATE * q.scale)
-
-
-def _nonsense(kind: Nonsense, data: bytes, rng: np.random.Generator) -> bytes:
-    """What comes of a message."""
-    if kind == "long":
-        return data + bytes(8)
-    if kind == "truncated":
-        return data[:-5]
-    header, values = data[: HEADER.size], np.frombuffer(data[HEADER.size :], "<f8").copy()
-    if kind == "nan":
-        values[0] = np.nan
-    elif kind == "huge":
-        values *= 1e200
-    elif len(values) == 45:
-        values = np.frombuffer(PairMoments.from_matches(*0.1 * rng.normal(size=(2, 60, 2))).to_bytes(), "<f8")
-    elif len(values) in (9, 18):
-        values[:9] = np.linalg.norm(values[:9]) / np.sqrt(3) * Rotation.random(rng=rng).as_matrix().ravel()
-    else:
-        values = np.linalg.norm(values) / np.sqrt(len(values)) * rng.normal(size=len(values))
-    return header + values.astype("<f8").tobytes()
