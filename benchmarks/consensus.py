@@ -21,9 +21,11 @@ from typing import get_args
 import numpy as np
 
 from benchmarks.depth_plane import recorded
+from benchmarks.sensors import CASES, scene
 from sylpose import open_session
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
+from sylpose.paper.bad_cameras import solve_robust
 from sylpose.paper.centralized import CentralizedSolution, solve_centralized
 from sylpose.paper.distributed import anderson, leaping
 from sylpose.paper.distributed import refine as consensus
@@ -41,10 +43,12 @@ from sylpose.paper.distributed.simulated import (
 )
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.simulate import arc, dome, ellipsoid, random_motion, ring, simulate_matches
+from sylpose.simulate import arc, box, dome, ellipsoid, random_motion, ring, simulate_matches
 
 Problem = tuple[FloatArray, list[PairMoments], CentralizedSolution]
 
+# Faults of `benchmarks.sensors`.
+BAD = {("turned", 20), ("turned", 90), ("mirrored", 0), ("frozen", 0), ("junk", 0)}
 COUNTS = (3, 4, 6, 8, 12, 16, 32)
 
 
@@ -247,6 +251,69 @@ def by_fault(seeds: int) -> None:
         print(f"| {name} | " + " | ".join(cells) + " |")
 
 
+def by_bad_camera(seeds: int) -> None:
+    """All schemes with a camera that is at fault, beside the robust estimator."""
+    print("\n## Bad cameras: 8 around an ellipsoid or a box that turns by 10 degrees, gossip on a ring\n")
+    print(
+        "Same: the cameras named and the status are those of `solve_robust`. Apart: largest angle of any camera's answer,"
+    )
+    print("the bad one's included, to its answer.\n")
+    print("| fault | scheme | same | named | apart (rad) | rounds | bytes per camera |")
+    print("|---|---|---|---|---|---|---|")
+    for case in (None, *(c for c in CASES if (c.name, c.size) in BAD)):
+        label = "none" if case is None else f"{case.name} {case.size:.0f}°" if case.kind == "calibration" else case.name
+        for name, solve in (("exchange", solve_exchange), ("refine", solve_refine), ("gossip", solve_gossip)):
+            same, named, apart, rounds, sent = 0, 0, 0.0, [], []
+            for seed in range(4 * seeds):
+                s = scene(8, 10.0, seed, case)
+                expected, found = solve_robust(s.rotations, s.moments), solve(s.rotations, s.moments)
+                of = {c for c, fault in enumerate(expected.faults) if fault is not None}
+                same += set(found.faults) == of and found.status is expected.status
+                named += bool(of) and set(found.faults) == set(s.bad)
+                apart = max(apart, float(np.linalg.norm(found.rotations - expected.rotation, axis=(1, 2)).max()))
+                rounds.append(found.rounds)
+                sent.append(found.sent.max())
+            cells = f"{same}/{4 * seeds} | {named} | {apart / np.sqrt(2):.0e} | {spread(rounds)} | {spread(sent)}"
+            print(f"| {label} | {name} | {cells} |", flush=True)
+
+
+def by_liar(seeds: int) -> None:
+    """Refine with cameras that lie well-formedly."""
+    print("\n## Refine: liars, on rings and domes around an ellipsoid or a box, turns of 2 to 12 degrees\n")
+    print(
+        "Named: the liars and nobody else. Error and spread: largest angles (rad) of the good cameras' answers to that of"
+    )
+    print(
+        "`solve_robust` of the good cameras, and among themselves. Apart: good cameras that are sure of different things.\n"
+    )
+    print("| cameras, liars | kind | named | error | spread | apart | rounds | bytes per good camera |")
+    print("|---|---|---|---|---|---|---|---|")
+    for n, n_liars in ((4, 1), (5, 1), (8, 1), (7, 2), (8, 2)):
+        for kind in ("false", "stubborn", "two-faced", "ahead", "jitter", "heavy"):
+            named, apart, worst, wide, rounds, sent = 0, 0, 0.0, 0.0, [], []
+            for seed in range(4 * seeds):
+                rng = np.random.default_rng([seed, n])
+                rig, body = (tilted, dome)[seed % 2](n), (ellipsoid((0.15, 0.12, 0.1)), box())[seed % 2]
+                pair = simulate_matches(rig, body, random_motion(float(rng.uniform(2, 12)), 0.02, rng), rng=rng)
+                Q = np.array([c.rotation for c in rig])
+                moments = [PairMoments.from_matches(m.x, m.y) for m in pair.matches]
+                liars = rng.choice(n, n_liars, replace=False).tolist()
+                nonsense: dict[int, Nonsense] = dict.fromkeys(liars, kind)
+                found = solve_refine(Q, moments, disturbances=Disturbances(nonsense=nonsense, seed=seed))
+                good = [c for c in range(n) if c not in liars]
+                reference = solve_robust(Q[good], [moments[c] for c in good])
+                named += {*found.faults, *found.refused} == set(liars)
+                R = found.rotations[good]
+                sure = R[found.converged[good]]
+                apart += len(sure) > 0 and bool(np.linalg.norm(sure - sure[0], axis=(1, 2)).max() > 1e-7)
+                worst = max(worst, float(np.linalg.norm(R - reference.rotation, axis=(1, 2)).max()))
+                wide = max(wide, float(np.linalg.norm(R - R[0], axis=(1, 2)).max()))
+                rounds.append(found.rounds)
+                sent.append(found.sent[good].max())
+            cells = f"{named}/{4 * seeds} | {worst:.0e} | {wide:.0e} | {apart} | {spread(rounds)} | {spread(sent)}"
+            print(f"| {n}, {n_liars} | {kind} | {cells} |", flush=True)
+
+
 def graphs(n: int) -> dict[str, list[tuple[int, int]]]:
     """By name; the grid is as square as can be."""
     width = max(w for w in range(1, n + 1) if n % w == 0 and w * w <= n)
@@ -296,15 +363,22 @@ def by_scheme() -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--only-bad", action="store_true", help="bad cameras and liars alone")
     parser.add_argument("--shared", type=Path, default=Path(__file__).parents[2] / "shared")
     options = parser.parse_args()
     seeds = options.seeds
     print("# Consensus: rounds, bytes, disturbances\n")
+    if options.only_bad:
+        by_bad_camera(seeds)
+        by_liar(seeds)
+        return
     by_rig(seeds)
     by_penalty(seeds)
     by_loss(seeds)
     by_recording(options.shared)
     by_fault(seeds)
+    by_bad_camera(seeds)
+    by_liar(seeds)
     by_graph(seeds)
     by_scheme()
 
