@@ -48,10 +48,10 @@ NOISE_SHARE, NOT_NOISE, NOISE_DOUBT = 0.01, 0.1, 0.4
 # A camera is at fault above this score: of good ones, boxes and ellipsoids in perspective, 99 in 100 are below 4
 # (measured: docs/benchmarks.md#bad-sensors, no good camera of 4,650 is named).
 FAULT = 12.0
-# -2 log-likelihood of a camera at fault: its F may be anywhere, and few cameras are. An F larger than a rotation needs slopes
-# here, too: so much is added per log |F|² (derived: F = m a', any m, slopes a of a Cauchy distribution, whose length has a
-# density ~ |a|⁻², in four dimensions). By how much one set of faulty cameras must be likelier than any other: a factor of
-# exp(3) = 20 (choice).
+# -2 log-likelihood of a camera at fault: its F may be anywhere, and few cameras are. An F larger than a rotation needs
+# slopes here, too: so much is added per log |F|² (derived: F = m a', any m, slopes a of a Cauchy distribution, whose length
+# has a density ~ |a|⁻², in four dimensions). By how much one set of faulty cameras must be likelier than any other: a factor
+# of exp(3) = 20 (choice).
 AT_FAULT, AT_FAULT_FALLS, MARGIN = 0.0, 5.0, 6.0
 # More than so many cameras, all below this score: nothing is searched for. Fewer can all agree on something wrong (choice).
 FEW, AGREED = 4, 4.0
