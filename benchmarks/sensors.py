@@ -1,12 +1,14 @@
 """What a bad camera does to the paper's estimate, and how well it is found: Monte Carlo over rigs, faults and turns.
 
-    python benchmarks/sensors.py [--scenes 100] [--rigs 4 8 16] [--turns 5 15] [--clean | --motion]
+    python benchmarks/sensors.py [--scenes 100] [--rigs 4 8 16] [--turns 5 15] [--clean | --boards | --motion]
 
 Cameras stand around an ellipsoid or a box (alternately above and below it, 60 matches each, 0.5 px of noise) that turns
 about any axis; one or more of them are at fault. Errors of the rotation in degrees: with all cameras, with the bad ones
 left out by hand, and by `solve_robust`, medians / 90th percentiles; ratio of robust to by hand, of both. "found": faults
 named; "kind": of those, of the right kind; "unsure": scenes in which the cameras are said to disagree without a name;
-"false": good cameras named, of all good ones. `--clean`: no faults, more rigs and turns. `--motion`: `estimate_motion`, with
+"false": good cameras named, of all good ones. `--clean`: no faults, more rigs and turns. `--boards`: flat boards, facing the
+cameras or seen obliquely, that turn or stand still: without faults, by the angle from which the board is seen, and with one,
+`--first` is the first seed. `--motion`: `estimate_motion`, with
 cameras whose calibration is turned about any axis, then without faults but with many outliers.
 """
 
@@ -15,6 +17,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -25,7 +28,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.bad_cameras import FaultKind, solve_robust
 from sylpose.paper.centralized import solve_centralized
 from sylpose.rig import Rig
-from sylpose.simulate import OutlierKind, arc, box, dome, ellipsoid, random_motion, ring, simulate_matches
+from sylpose.simulate import OutlierKind, arc, box, dome, ellipsoid, plane, random_motion, ring, simulate_matches
 from sylpose.simulate.bodies import Body
 from sylpose.two_frames.motion import estimate_motion
 
@@ -46,6 +49,10 @@ CASES = (
     Case("frozen", "frozen", 0.5),
     Case("junk", "junk"),
 )
+
+
+# Focal length of all cameras, pixels, and the angles by which cameras before boards are counted, degrees.
+FOCAL, ANGLES = 1000.0, (0, 60, 80, 85, 90)
 
 
 class Scene(NamedTuple):
@@ -69,26 +76,76 @@ def scene(n: int, turn_deg: float, seed: int, case: Case | None, n_bad: int = 1,
     bad = tuple(rng.choice(n, n_bad, replace=False).tolist()) if case else ()
     for c in bad:
         assert case is not None
-        x, y = points[c]
-        if case.name == "turned":
-            axis = rng.standard_normal(3)
-            turn = Rotation.from_rotvec(np.deg2rad(case.size) * axis / np.linalg.norm(axis))
-            rotations[c] = turn.as_matrix() @ rotations[c]
-        elif case.name == "mirrored":
-            points[c] = x * [-1, 1], y * [-1, 1]
-        elif case.name == "backwards":
-            points[c] = y, x
-        elif case.name == "frozen":
-            points[c] = x, x + case.size / rig.cameras[c].focal * rng.standard_normal(x.shape)
-        elif case.name == "junk":
-            points[c] = (
-                rng.uniform(x.min(axis=0), x.max(axis=0), x.shape),
-                rng.uniform(y.min(axis=0), y.max(axis=0), y.shape),
-            )
-        else:
-            raise ValueError(f"unknown fault {case.name!r}")
+        rotations[c], x, y = spoiled(rotations[c], *points[c], case, rng)
+        points[c] = x, y
     moments = [PairMoments.from_matches(x, y) for x, y in points]
     return Scene(rotations, moments, bad, motion.rotation.as_matrix())
+
+
+def spoiled(
+    rotation: FloatArray, x: FloatArray, y: FloatArray, case: Case, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A camera's rotation and matches, as a fault makes them."""
+    if case.name == "turned":
+        axis = rng.standard_normal(3)
+        turn = Rotation.from_rotvec(np.deg2rad(case.size) * axis / np.linalg.norm(axis))
+        return turn.as_matrix() @ rotation, x, y
+    if case.name == "mirrored":
+        return rotation, x * [-1, 1], y * [-1, 1]
+    if case.name == "backwards":
+        return rotation, y, x
+    if case.name == "frozen":
+        return rotation, x, x + case.size / FOCAL * rng.standard_normal(x.shape)
+    if case.name == "junk":
+        anywhere = [rng.uniform(p.min(axis=0), p.max(axis=0), p.shape) for p in (x, y)]
+        return rotation, anywhere[0], anywhere[1]
+    raise ValueError(f"unknown fault {case.name!r}")
+
+
+class BoardScene(NamedTuple):
+    """A scene, what was drawn for it, by name, and the angle between each camera's view and the board's normal, degrees."""
+
+    scene: Scene
+    drawn: dict[str, str | float]
+    angles: FloatArray
+
+
+def board_scene(seed: int, case: Case | None = None, n: int | None = None) -> BoardScene:
+    """A board of 0.3 by 0.2 before cameras around it or on one side of it; cameras, turn, noise and matches are drawn."""
+    rng = np.random.default_rng([seed, 2])
+    around, oblique = rng.random(2) < 0.5
+    drawn_n, turn = int(rng.choice([3, 4, 5, 8, 16])), float(rng.choice([0, 1, 5, 10, 15, 30]))
+    noise, matches = float(rng.choice([0.2, 0.5, 1.0])), int(rng.choice([20, 60, 300]))
+    shifted = turn > 0 or rng.random() < 0.5
+    if case is not None:
+        turn, noise, matches, shifted = 10.0, 0.5, 60, True
+    n = drawn_n if n is None else n
+    heights = [0.4 * (-1) ** k for k in range(n)]
+    rig = ring(n, focal=FOCAL, height=heights) if around else arc(n, 60.0 / (n - 1), focal=FOCAL, height=heights)
+    tilt, about = np.deg2rad(rng.uniform(60, 80) if oblique else rng.uniform(0, 30)), rng.uniform(0, 2 * np.pi)
+    pose = Rotation.from_rotvec(tilt * np.array([np.cos(about), np.sin(about), 0.0]))
+    pose = pose * Rotation.from_rotvec([0, 0, rng.uniform(0, 2 * np.pi)])
+    motion = random_motion(turn, 0.03 * shifted, rng)
+    start = RigidTransform.from_rotation(pose)
+    pair = simulate_matches(rig, plane((0.3, 0.2)), motion, rng=rng, per_camera=matches, noise_px=noise, start=start)
+    rotations = np.array([camera.rotation for camera in rig])
+    angles = np.rad2deg(np.arccos(np.abs(rotations[:, 2] @ pose.apply([0.0, 0.0, 1.0]))))
+    points = [(m.x, m.y) for m in pair.matches]
+    bad = () if case is None else (int(rng.integers(n)),)
+    for c in bad:
+        assert case is not None
+        rotations[c], x, y = spoiled(rotations[c], *points[c], case, rng)
+        points[c] = x, y
+    moments = [PairMoments.from_matches(x, y) for x, y in points]
+    drawn: dict[str, str | float] = {
+        "cameras": n,
+        "turn °": turn if shifted else "none, nor a shift",
+        "noise px": noise,
+        "matches": matches,
+        "rig": "around" if around else "on one side",
+        "board": "oblique" if oblique else "facing",
+    }
+    return BoardScene(Scene(rotations, moments, bad, motion.rotation.as_matrix()), drawn, angles)
 
 
 class Outcome(NamedTuple):
@@ -167,6 +224,42 @@ def clean_table(scenes: int) -> None:
                 )
 
 
+def board_tables(scenes: int, first: int, rigs: Sequence[int]) -> None:
+    """False alarms before boards without a fault, by all that was drawn; then boards with one camera at fault."""
+    rows = []
+    for seed in range(first, first + scenes):
+        made = board_scene(seed)
+        found = solve_robust(made.scene.rotations, made.scene.moments)
+        named = np.array([fault is not None for fault in found.faults])
+        rows.append((made.drawn, made.angles, named, not found.diagnosis.consistent))
+    bins = list(pairwise(ANGLES))
+    print(f"| boards | cameras | named | {' | '.join(f'at {a} to {b}°' for a, b in bins)} | unsure |")
+    print("|---|---|---|" + "---|" * len(bins) + "---|")
+    groups = [("all", rows)]
+    for name in rows[0][0]:
+        for value in sorted({r[0][name] for r in rows}, key=lambda v: (isinstance(v, str), v)):
+            groups.append((f"{name}: {value}", [r for r in rows if r[0][name] == value]))
+    for title, some in groups:
+        angles, named = (np.concatenate([r[k] for r in some]) for k in (1, 2))
+        shares = [named[(angles >= a) & (angles < b)] for a, b in bins]
+        cells = [f"{share.mean():.2%}" if len(share) else "-" for share in (named, *shares)]
+        print(f"| {title} | {len(named)} | {' | '.join(cells)} | {np.mean([r[3] for r in some]):.1%} |")
+    print()
+    print("| cameras | fault of one, turn 10° | found | kind | unsure | false | ratio of errors, median |")
+    print("|---|---|---|---|---|---|---|")
+    for n in rigs:
+        for case in CASES:
+            some = [outcome(board_scene(seed, case, n).scene, case.kind) for seed in range(first, first + scenes // 10)]
+            right, false = sum(o.right for o in some), sum(o.false for o in some)
+            found, errors = sum(o.found for o in some), np.median([(o.by_hand, o.robust) for o in some], axis=0)
+            print(
+                f"| {n} | {case.name} {case.size:g} | {found / len(some):.0%} | "
+                f"{f'{right / found:.0%}' if found else '-'} | {np.mean([o.unsure for o in some]):.0%} | "
+                f"{false / ((n - 1) * len(some)):.2%} | {errors[1] / errors[0]:.2f} |",
+                flush=True,
+            )
+
+
 def motion_tables(scenes: int) -> None:
     """`estimate_motion`: 6 cameras, one of them calibrated wrongly; then rigs without faults, with outliers."""
     body = ellipsoid((0.15, 0.12, 0.1))
@@ -223,10 +316,14 @@ def main() -> None:
     parser.add_argument("--rigs", type=int, nargs="+", default=[4, 8, 16])
     parser.add_argument("--turns", type=float, nargs="+", default=[5, 15])
     parser.add_argument("--clean", action="store_true")
+    parser.add_argument("--boards", action="store_true")
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--motion", action="store_true")
     options = parser.parse_args()
     if options.motion:
         motion_tables(options.scenes)
+    elif options.boards:
+        board_tables(options.scenes, options.first, options.rigs)
     elif options.clean:
         clean_table(options.scenes)
     else:

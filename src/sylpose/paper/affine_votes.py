@@ -43,14 +43,16 @@ STEEP = 4.0 ** np.arange(11)
 # Of the squares along x, what noise may have made: no more than this share of those along the wider direction (choice: of
 # more noise than a tenth of the object's size, nothing is left to be judged), and in either at least so much is not noise
 # (choice: F along a line that is as narrow as its noise is worth nothing, and its covariance says so). How far the noise may
-# be off, relative (derived: the least of two or three eigenvalues, of twenty matches).
+# be off, relative (derived: root mean square of the least of two eigenvalues, of twenty matches).
 NOISE_SHARE, NOT_NOISE, NOISE_DOUBT = 0.01, 0.1, 0.4
 # A camera is at fault above this score: of good ones, boxes and ellipsoids in perspective, 99 in 100 are below 4
 # (measured: docs/benchmarks.md#bad-sensors, no good camera of 4,650 is named).
 FAULT = 12.0
-# -2 log-likelihood of a camera at fault: its F may be anywhere, and few cameras are. By how much one set of faulty cameras
-# must be likelier than any other: a factor of exp(3) = 20 (choice).
-AT_FAULT, MARGIN = 0.0, 6.0
+# -2 log-likelihood of a camera at fault: its F may be anywhere, and few cameras are. An F larger than a rotation needs
+# slopes here, too: so much is added per log |F|² (derived: F = m a', any m, slopes a of a Cauchy distribution, whose length
+# has a density ~ |a|⁻², in four dimensions). By how much one set of faulty cameras must be likelier than any other: a factor
+# of exp(3) = 20 (choice).
+AT_FAULT, AT_FAULT_FALLS, MARGIN = 0.0, 5.0, 6.0
 # More than so many cameras, all below this score: nothing is searched for. Fewer can all agree on something wrong (choice).
 FEW, AGREED = 4, 4.0
 # Fewer matches than this are not judged: an affine map with a place takes three (choice).
@@ -209,20 +211,21 @@ def agreed_rotation(fits: AffineFits, plain: FloatArray) -> tuple[FloatArray, bo
         return R[np.argmin(worst)], True
     groups = _groups(n)
     R, _ = _refined(fits, np.repeat(starts, len(groups), axis=0), np.concatenate([groups, groups]))
-    R = R[np.argsort(_cost(score(fits, R)), kind="stable")[:KEPT]]
+    R = R[np.argsort(_cost(fits, score(fits, R)), kind="stable")[:KEPT]]
     for _ in range(3):
         # Those who agree with a group join it; those of it that do not, leave.
         R, _ = _refined(fits, R, score(fits, R).squared <= FAULT)
     at = score(fits, R)
-    cost, inside = _cost(at), at.squared <= FAULT
+    cost, inside = _cost(fits, at), at.squared <= FAULT
     best = int(np.argmin(cost))
     otherwise = inside[:, ~inside[best]].any(axis=1)  # with a camera inside that is outside of the best
     return R[best], not bool((cost[otherwise] < cost[best] + MARGIN).any())
 
 
-def _cost(scores: Scores) -> FloatArray:
+def _cost(fits: AffineFits, scores: Scores) -> FloatArray:
     """(K,) -2 log-likelihood where each camera is either good or at fault."""
-    return np.asarray(np.minimum(scores.unlikely, AT_FAULT).sum(axis=1))
+    size = np.maximum((fits.F**2).sum(axis=(1, 2)) / 2, 1.0)  # 1 for a rotation about the viewing direction
+    return np.asarray(np.minimum(scores.unlikely, AT_FAULT + AT_FAULT_FALLS * np.log(size)).sum(axis=1))
 
 
 def _groups(n: int) -> BoolArray:
