@@ -76,7 +76,8 @@ def scene(n: int, turn_deg: float, seed: int, case: Case | None, n_bad: int = 1,
     bad = tuple(rng.choice(n, n_bad, replace=False).tolist()) if case else ()
     for c in bad:
         assert case is not None
-        rotations[c], x, y = spoiled(rotations[c], *points[c], case, rng)
+        x, y = points[c]
+        rotations[c], x, y = spoiled(rotations[c], x, y, case, rng)
         points[c] = x, y
     moments = [PairMoments.from_matches(x, y) for x, y in points]
     return Scene(rotations, moments, bad, motion.rotation.as_matrix())
@@ -249,13 +250,13 @@ def board_tables(scenes: int, first: int, rigs: Sequence[int]) -> None:
     print("|---|---|---|---|---|---|---|")
     for n in rigs:
         for case in CASES:
-            some = [outcome(board_scene(seed, case, n).scene, case.kind) for seed in range(first, first + scenes // 10)]
-            right, false = sum(o.right for o in some), sum(o.false for o in some)
-            found, errors = sum(o.found for o in some), np.median([(o.by_hand, o.robust) for o in some], axis=0)
+            row = [outcome(board_scene(seed, case, n).scene, case.kind) for seed in range(first, first + scenes // 10)]
+            right, false = sum(o.right for o in row), sum(o.false for o in row)
+            count, errors = sum(o.found for o in row), np.median([(o.by_hand, o.robust) for o in row], axis=0)
             print(
-                f"| {n} | {case.name} {case.size:g} | {found / len(some):.0%} | "
-                f"{f'{right / found:.0%}' if found else '-'} | {np.mean([o.unsure for o in some]):.0%} | "
-                f"{false / ((n - 1) * len(some)):.2%} | {errors[1] / errors[0]:.2f} |",
+                f"| {n} | {case.name} {case.size:g} | {count / len(row):.0%} | "
+                f"{f'{right / count:.0%}' if count else '-'} | {np.mean([o.unsure for o in row]):.0%} | "
+                f"{false / ((n - 1) * len(row)):.2%} | {errors[1] / errors[0]:.2f} |",
                 flush=True,
             )
 
