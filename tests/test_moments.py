@@ -65,6 +65,12 @@ def test_sum_is_union(seed: int, n: int, split: int) -> None:
     np.testing.assert_allclose(parts.matrix, PairMoments.from_matches(x, y, w).matrix, atol=1e-12, rtol=1e-12)
 
 
+def test_weighted_moments_are_those_of_weighted_matches() -> None:
+    x, y = np.random.default_rng(0).standard_normal((2, 20, 2))
+    expected = PairMoments.from_matches(x, y, np.full(20, 0.3))
+    np.testing.assert_allclose(PairMoments.from_matches(x, y).weighted(0.3).matrix, expected.matrix, rtol=1e-13)
+
+
 def test_zero_is_neutral() -> None:
     m = PairMoments.from_matches(*matches(0, 7))
     np.testing.assert_array_equal((m + PairMoments.zero()).matrix, m.matrix)

@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.matrices import symmetric_of, upper_of
 
 __all__ = ["PairMoments"]
-
-
-_UPPER = np.triu_indices(9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +78,13 @@ class PairMoments:
         """The moments of both sets of matches together."""
         return PairMoments(self.matrix + other.matrix)
 
+    def weighted(self, weight: float) -> PairMoments:
+        """The moments of the same matches, each with so many times its weight."""
+        return self if weight == 1 else PairMoments(weight * self.matrix)
+
     def to_bytes(self) -> bytes:
         """360 bytes: the 45 numbers of the upper triangle, row by row, as little-endian float64."""
-        return self.matrix[_UPPER].astype("<f8").tobytes()
+        return upper_of(self.matrix).astype("<f8").tobytes()
 
     @classmethod
     def from_bytes(cls, data: bytes) -> PairMoments:
@@ -93,9 +95,7 @@ class PairMoments:
         """
         if len(data) != 360:
             raise ValueError(f"pair moments are 360 bytes, got {len(data)}")
-        matrix = np.zeros((9, 9))
-        matrix[_UPPER] = np.frombuffer(data, "<f8")
-        return cls(matrix + np.triu(matrix, 1).T)
+        return cls(symmetric_of(np.frombuffer(data, "<f8")))
 
     def transformed(self, to: ArrayLike) -> PairMoments:
         """The moments of A x and A y, for a (3, 3) matrix A: (A ⊗ A) M (A ⊗ A)'."""

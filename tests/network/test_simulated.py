@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.kinds_scenes import turned
+from sylpose.network.node import Node
 from sylpose.network.simulated import Outcome, track_by_nodes
 from sylpose.paper.distributed.simulated import Disturbances
 from sylpose.results import FrameStatus
@@ -68,6 +69,7 @@ def test_nodes_have_the_poses_of_one_process(
     assert outcome.members == [(0, 1, 2)] * 3
     assert_same(outcome.frames[0], expected, 1e-11)
     assert_agreed(outcome, range(3))
+    assert outcome.refused == [{}] * 3
     for c, found in enumerate(outcome.frames):
         for mine, wanted in zip(found, expected, strict=True):
             assert mine.radius == pytest.approx(wanted.radius, rel=1e-9, nan_ok=True)
@@ -136,6 +138,19 @@ def test_the_others_go_on_without_a_node_that_dies(clip: Clip, dies: int) -> Non
     assert {f.pose.status for f in found[1:]} == {FrameStatus.TRACKED}
     assert not found[-1].pose.inliers[1]
     assert errors(found, clip.truth)[:, 0].max() < 0.5
+
+
+def test_a_recording_without_frames_is_none(clip: Clip) -> None:
+    outcome = track_by_nodes([], clip.rig, clip.boxes)
+    assert outcome.frames == [[], [], []]
+    assert not outcome.sent.any()
+
+
+def test_a_node_takes_what_means_nothing_for_nothing_and_names_who_said_it() -> None:
+    node = Node(0, 3, lambda own: {0: own, 1: b"\xc1 nonsense"})
+    assert node.ask(lambda c: 5 + c, 0) == [5, 0, 0]
+    assert list(node.refused) == [1]
+    assert node.refused[1].startswith("no message")
 
 
 def test_what_is_not_simulated_is_refused(clip: Clip) -> None:

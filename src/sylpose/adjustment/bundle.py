@@ -28,7 +28,7 @@ from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import Status
 from sylpose.rig import Rig
 
-__all__ = ["Bundled", "Observations", "bundle"]
+__all__ = ["Bundled", "Observations", "bundle", "stays_of"]
 
 
 # Every pose is known to half a turn and to some of the object's radii around its start: what nothing ties stays there
@@ -153,7 +153,7 @@ def bundle(
         raise ValueError(f"radius: {radius} is not a positive length")
     if offsets_sd is not None and not (np.isfinite(offsets_sd) and offsets_sd > 0):
         raise ValueError(f"offsets_sd: {offsets_sd} is not a positive time")
-    stays = _stays(fixed, n_frames)
+    stays = stays_of(fixed, n_frames)
     known = np.zeros((n_frames, 6, 6)) if information is None else _finite("information", information, (n_frames, 6, 6))
     given = None if landmarks is None else _finite("landmarks", landmarks, (-1, 3))
     n_landmarks = int(np.max(seen.landmark, initial=-1)) + 1 if given is None else len(given)
@@ -273,7 +273,8 @@ def _finite(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
     return array
 
 
-def _stays(fixed: ArrayLike | None, n_frames: int) -> BoolArray:
+def stays_of(fixed: ArrayLike | None, n_frames: int) -> BoolArray:
+    """(N,) which frames' poses stay: `bundle`'s `fixed`."""
     stays = np.arange(n_frames) == 0 if fixed is None else np.asarray(fixed, dtype=bool)
     if stays.shape != (n_frames,):
         raise ValueError(f"fixed: shape {stays.shape}, expected ({n_frames},), one per pose")

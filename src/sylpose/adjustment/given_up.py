@@ -12,11 +12,11 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.adjustment.bundle import Bundled, Observations
 from sylpose.known_model.pose import estimate_pose
-from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.arrays import BoolArray, IntArray
 from sylpose.results import Status
-from sylpose.rig import Camera, Rig
+from sylpose.rig import Rig
 
-__all__ = ["counted_of", "found_again", "given_up"]
+__all__ = ["agreed_of", "counted_of", "found_again", "given_up"]
 
 # A frame is given up where no more than this share agrees of what it saw, this being at least so much (choice).
 AGREED, LEAST = 0.5, 12
@@ -27,11 +27,16 @@ def counted_of(seen: Observations) -> BoolArray:
     return np.asarray(np.bincount(seen.landmark)[seen.landmark] > 1)
 
 
+def agreed_of(found: Bundled, seen: Observations, counted: BoolArray) -> tuple[IntArray, IntArray]:
+    """Of each frame (N), how many of the observations that count (n,) agree with a refinement, and how many there are."""
+    frames = len(found.covariance)
+    agreed, saw = (np.bincount(seen.frame[some], minlength=frames) for some in (counted & (found.weights > 0), counted))
+    return agreed, saw
+
+
 def given_up(found: Bundled, seen: Observations) -> BoolArray:
     """(N,) the frames that a refinement gave up."""
-    frames, counted = len(found.covariance), counted_of(seen)
-    saw = np.bincount(seen.frame[counted], minlength=frames)
-    agreed = np.bincount(seen.frame[counted & (found.weights > 0)], minlength=frames)
+    agreed, saw = agreed_of(found, seen, counted_of(seen))
     return np.asarray((saw >= LEAST) & (agreed <= AGREED * saw))
 
 
@@ -50,14 +55,8 @@ def found_again(rig: Rig, seen: Observations, found: Bundled, stays: BoolArray) 
             np.flatnonzero((seen.frame == k) & (seen.camera == c) & good[seen.landmark]) for c in range(len(rig))
         ]
         points = [found.landmarks[seen.landmark[mine]] for mine in of_cameras]
-        pixels = [_pixels(camera, seen.image[mine]) for camera, mine in zip(rig, of_cameras, strict=True)]
+        pixels = [camera.denormalize(seen.image[mine]) for camera, mine in zip(rig, of_cameras, strict=True)]
         told = estimate_pose(rig, points, pixels)
         if told.status is Status.OK and told.motion is not None:
             poses[k], again = told.motion, True
     return RigidTransform.concatenate(poses) if again else None
-
-
-def _pixels(camera: Camera, image: FloatArray) -> FloatArray:
-    """(n, 2) where normalised points (n, 2) are in the image as recorded."""
-    rays = np.column_stack([image, np.ones(len(image))])
-    return camera.project(camera.camera_from_world.inv().apply(rays))

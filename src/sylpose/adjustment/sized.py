@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.adjustment.bundle import Bundled, Observations, bundle
-from sylpose.adjustment.given_up import counted_of, found_again
+from sylpose.adjustment.bundle import Bundled, Observations, bundle, stays_of
+from sylpose.adjustment.given_up import agreed_of, counted_of, found_again
 from sylpose.adjustment.problem import CUTOFF
 from sylpose.adjustment.shared import SURFACE_RADII, on_surface
 from sylpose.adjustment.spread import bent
@@ -66,10 +66,9 @@ def bundle_sized(
         second = bundle(rig, seen, other, radius, **{**options, "landmarks": None})
         if _likelier(second, found, seen):
             found, rivals = second, np.zeros_like(rivals)
-    fixed = options.get("fixed")
-    again = found_again(rig, seen, found, np.arange(len(rivals)) == 0 if fixed is None else np.asarray(fixed))
-    if again is not None:
-        second = bundle(rig, seen, again, radius, **{**options, "landmarks": found.landmarks})
+    start = found_again(rig, seen, found, stays_of(options.get("fixed"), len(rivals)))
+    if start is not None:
+        second = bundle(rig, seen, start, radius, **{**options, "landmarks": found.landmarks})
         if _likelier(second, found, seen):
             found = second
     surfaces = _surfaces(rig, seen, found, radius) if len(rig) > 1 and length_is_open(found) else None
@@ -124,12 +123,9 @@ def _costs(one: Bundled, other: Bundled, seen: Observations, counted: BoolArray)
 
 def gives_up(one: Bundled, other: Bundled, seen: Observations, counted: BoolArray) -> bool:
     """Whether one gives a frame up of which the other explains most of the observations (n,) that count."""
-    frames = len(one.covariance)
-    of_one, of_other = (
-        np.bincount(seen.frame[counted & (b.weights > 0)], minlength=frames).astype(float) for b in (one, other)
-    )
-    most = 2 * of_other > np.bincount(seen.frame[counted], minlength=frames)
-    return bool((most & (of_one < GIVEN_UP * of_other)).any())
+    of_one, saw = agreed_of(one, seen, counted)
+    of_other, _ = agreed_of(other, seen, counted)
+    return bool(((2 * of_other > saw) & (of_one < GIVEN_UP * of_other)).any())
 
 
 def _surfaces(rig: Rig, seen: Observations, found: Bundled, radius: float) -> tuple[FloatArray, FloatArray] | None:

@@ -9,10 +9,9 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.matrices import symmetric_of, upper_of
 
 __all__ = ["Exchange", "Has", "Judges", "Says"]
-
-_UPPER = np.triu_indices(6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,16 +40,12 @@ class Says:
     @classmethod
     def of(cls, reduced: FloatArray, mass: float, level_px: float) -> Says:
         """Of hessian and gradient (6, 7)."""
-        return cls(np.concatenate([reduced[:, :6][_UPPER], reduced[:, 6]]), mass, level_px)
+        return cls(np.concatenate([upper_of(reduced[:, :6]), reduced[:, 6]]), mass, level_px)
 
     @property
     def reduced(self) -> FloatArray:
         """(6, 7) hessian and gradient."""
-        out = np.empty((6, 7))
-        out[:, :6][_UPPER] = self.upper[:21]
-        out[:, :6].T[_UPPER] = self.upper[:21]
-        out[:, 6] = self.upper[21:]
-        return out
+        return np.column_stack([symmetric_of(self.upper[:21]), self.upper[21:]])
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,19 +6,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar, cast
 
-import numpy as np
-
 from sylpose.frames import Box, FrameSet
 from sylpose.landmarks.alignment import FIRST_PX, Aligned, OneOfMany, Sights
-from sylpose.methods import FEATURES, METHODS, features_of
+from sylpose.methods import FEATURES, METHODS
 from sylpose.network.codec import packed, unpacked
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
-from sylpose.tracking.frame_solvers import SOLVERS
-from sylpose.tracking.joint import Joint
-from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.team import Team
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracking
 
@@ -38,32 +32,33 @@ class Node:
         tell: one agreed round. What this camera told comes back with the others' words: it goes on with what they heard.
 
     Attributes:
+        camera: as given.
         refused: camera -> why its first word of no meaning was taken for nothing.
     """
 
     def __init__(self, camera: int, cameras: int, tell: Round) -> None:
-        self._camera, self._cameras, self._tell = camera, cameras, tell
+        self.camera, self.cameras, self._tell = camera, cameras, tell
         self.refused: dict[int, str] = {}
 
     def each(self, do: Callable[[int], T], *, long: bool = False) -> list[T]:  # noqa: ARG002
         """See `Crew`."""
-        mine = do(self._camera)
-        return [mine if c == self._camera else cast(T, None) for c in range(self._cameras)]
+        mine = do(self.camera)
+        return [mine if c == self.camera else cast(T, None) for c in range(self.cameras)]
 
     def ask(self, do: Callable[[int], T], nothing: T) -> list[T]:
         """See `Crew`."""
-        return self._told(do(self._camera), nothing)
+        return self._told(do(self.camera), nothing)
 
     def align(
         self, sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = FIRST_PX
     ) -> tuple[Aligned, list[tuple[FloatArray, FloatArray]]]:
         """See `Crew`."""
-        found = OneOfMany(sights[self._camera], self._camera, self._told).align(rotation, shift, first_px)
+        found = OneOfMany(sights[self.camera], self.camera, self._told).align(rotation, shift, first_px)
         return found, self.each(lambda _: (found.weights[0], found.residuals[0]))
 
     def _told(self, mine: T, nothing: T, /) -> list[T]:
         heard = self._tell(packed(mine))
-        return [self._read(c, heard.get(c), nothing) for c in range(self._cameras)]
+        return [self._read(c, heard.get(c), nothing) for c in range(self.cameras)]
 
     def _read(self, camera: int, data: bytes | None, nothing: T) -> T:
         """What a camera told, as far as it means anything."""
@@ -77,10 +72,9 @@ class Node:
 
 
 def track_by_node(
-    camera: int,
+    node: Node,
     rig: Rig,
     frames: Iterable[FrameSet],
-    tell: Round,
     boxes: Mapping[str, Box] | None = None,
     *,
     method: str = METHODS[0],
@@ -91,20 +85,16 @@ def track_by_node(
     """`track`, by one camera that knows its own images alone; of the others' no use is made.
 
     Args:
-        camera: its index in the rig.
-        tell: one agreed round with the other cameras, each of which calls this with the same arguments.
+        node: the camera among all of the rig, each of which calls this with the same other arguments.
         rig, frames, boxes, method, features, offsets, seed: as `track`.
 
     Raises:
         ValueError: as `track`.
     """
-    follows = features_of(method, features) == "klt"
-    parts = [cast(CameraPart, CameraPart(c, own) if c == camera else None) for c, own in enumerate(rig)]
-    late = np.array([(offsets or {}).get(name, 0.0) for name in rig.names])
-    team = Team(rig, parts, Node(camera, len(rig), tell), SOLVERS[method], follows, late, seed, method == METHODS[0])
-    tracking = Tracking(team, Joint(ObjectModel.in_boxes(rig, boxes) if boxes else ObjectModel()))
+    parts = [cast(CameraPart, CameraPart(c, own) if c == node.camera else None) for c, own in enumerate(rig)]
+    tracking = Tracking(rig, parts, node, boxes, method=method, features=features, offsets=offsets, seed=seed)
     for frame in frames:
-        images = tuple(image if c == camera else None for c, image in enumerate(frame.images))
-        masks = tuple(mask if c == camera else None for c, mask in enumerate(frame.masks))
+        images = tuple(image if c == node.camera else None for c, image in enumerate(frame.images))
+        masks = tuple(mask if c == node.camera else None for c, mask in enumerate(frame.masks))
         yield from tracking.step(replace(frame, images=images, masks=masks))
     yield from tracking.flush()

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from queue import SimpleQueue
 from threading import Thread
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from sylpose.frames import Box, FrameSet
 from sylpose.network.agreed import PATIENCE, Agreeing, agree_next, agree_start, agree_step
-from sylpose.network.node import Round, track_by_node
+from sylpose.network.node import Node, Round, track_by_node
 from sylpose.numerics.arrays import IntArray
 from sylpose.paper.distributed.messages import Inbox, Packet
 from sylpose.paper.distributed.simulated import UNDISTURBED, Disturbances, run
@@ -24,6 +23,8 @@ __all__ = ["Outcome", "track_by_nodes"]
 # A node that is through answers those that have missed its last word for so many steps more (derived: longer than they
 # wait).
 LINGERS = 2 * PATIENCE
+# Steps of the network, at most (choice: a day of frames).
+MOST_STEPS = 10**7
 
 
 class Talk:
@@ -91,6 +92,7 @@ class Outcome(NamedTuple):
         members: by camera, who took part in the end for all it knows; empty for one that never began.
         steps: of the network, until all were through.
         told: by camera, the bytes of what it told in each round, a header of 8 not counted.
+        refused: by camera, whom it did not understand, and why.
         sent, received: (C,) bytes, repetitions included.
     """
 
@@ -98,6 +100,7 @@ class Outcome(NamedTuple):
     members: list[tuple[int, ...]]
     steps: int
     told: list[list[int]]
+    refused: list[dict[int, str]]
     sent: IntArray
     received: IntArray
 
@@ -123,44 +126,40 @@ def track_by_nodes(
         raise ValueError("disturbances: nodes that join late or tell nonsense are not simulated")
     recording, n = list(frames), len(rig)
     found: list[list[TrackedFrame]] = [[] for _ in range(n)]
-
-    def work(c: int) -> Callable[[Round], None]:
-        def track(tell: Round) -> None:
-            found[c].extend(_collected(found[c], track_by_node(c, rig, recording, tell, boxes, **options)))
-
-        return track
-
+    refused: list[dict[int, str]] = [{} for _ in range(n)]
     talks: list[Talk] = []
 
     def start(c: int) -> tuple[NodeState, list[Packet]]:
-        talk = Talk(work(c))
+        def track(tell: Round) -> None:
+            node = Node(c, n, tell)
+            refused[c] = node.refused
+            # As they come: what a node that dies has said by then is kept.
+            for frame in track_by_node(node, rig, recording, boxes, **options):
+                found[c].append(frame)
+
+        talk = Talk(track)
         talks.append(talk)
         first = talk.says()
-        assert first is not None
+        if first is None:  # there is nothing to talk about
+            return NodeState(agree_start(c, [c], b"")[0], talk, through=LINGERS + 1), []
         agreeing, packets = agree_start(c, range(n), first)
         return _gone_on(NodeState(agreeing, talk, told=[len(first)]), packets)
 
     try:
-        outcome = run([lambda c=c: start(c) for c in range(n)], _step, disturbances, 10**7)  # type: ignore[misc,type-var]
+        outcome = run([partial(start, c) for c in range(n)], _step, disturbances, MOST_STEPS)
     finally:
         for talk in talks:
             talk.end()
-    states: Sequence[NodeState | None] = outcome.states
+    states = outcome.states
     return Outcome(
         found,
         [() if s is None else s.agreeing.members for s in states],
         outcome.rounds,
         [[] if s is None else s.told for s in states],
-        np.asarray(outcome.sent),
-        np.asarray(outcome.received),
+        [{**mine, **({} if s is None else s.agreeing.refused)} for mine, s in zip(refused, states, strict=True)],
+        outcome.sent,
+        outcome.received,
     )
-
-
-def _collected(into: list[TrackedFrame], frames: Iterable[TrackedFrame]) -> list[TrackedFrame]:
-    """Frames as they come: what a node that dies has said by then is kept."""
-    for frame in frames:
-        into.append(frame)
-    return []
 
 
 def _step(state: NodeState, inbox: Inbox) -> tuple[NodeState, list[Packet]]:

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from math import isqrt
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.numerics.arrays import FloatArray
 
-__all__ = ["checked_rotations", "covariance_of", "forget", "kron", "transpose", "turn_to"]
+__all__ = [
+    "checked_rotations",
+    "covariance_of",
+    "forget",
+    "kron",
+    "symmetric_of",
+    "transpose",
+    "turn_to",
+    "upper_of",
+]
 
 
 def kron(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -32,6 +43,19 @@ def checked_rotations(rotations: ArrayLike, n: int) -> FloatArray:
     if wrong.any():
         raise ValueError(f"rotations[{int(np.argmax(wrong))}] is not a rotation matrix")
     return out
+
+
+def upper_of(matrix: FloatArray) -> FloatArray:
+    """(n (n + 1) / 2,) the upper triangle of a matrix (n, n), row by row."""
+    return np.asarray(matrix[np.triu_indices(len(matrix))])
+
+
+def symmetric_of(upper: FloatArray) -> FloatArray:
+    """(n, n) the inverse of `upper_of`, for symmetric matrices."""
+    n = (isqrt(8 * len(upper) + 1) - 1) // 2
+    matrix, at = np.empty((n, n)), np.triu_indices(n)
+    matrix[at] = matrix.T[at] = upper
+    return matrix
 
 
 def turn_to(x: FloatArray) -> FloatArray:

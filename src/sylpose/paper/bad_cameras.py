@@ -147,7 +147,7 @@ def solve_robust(
     if len(kept) == 0:
         nothing = np.full((3, 3), np.nan), np.zeros((3, 3)), np.eye(3)
         return RobustSolution(Status.NOT_CONSISTENT, *nothing, 0, None, diagnosis)
-    weighted = [_weighted(moments[c], float(diagnosis.weights[c])) for c in kept]
+    weighted = [moments[c].weighted(float(diagnosis.weights[c])) for c in kept]
     s = solve_centralized(Q[kept], weighted, aim=aim)
     status = s.status if diagnosis.consistent else Status.NOT_CONSISTENT
     return RobustSolution(status, s.rotation, s.information, s.unseen, s.iterations, s, diagnosis)
@@ -297,7 +297,3 @@ def _labels(names: Sequence[str] | None, n: int) -> list[str]:
     if len(labels) != n:
         raise ValueError(f"names: {len(labels)} for {n} cameras")
     return labels
-
-
-def _weighted(moments: PairMoments, weight: float) -> PairMoments:
-    return moments if weight == 1 else PairMoments(weight * moments.matrix)

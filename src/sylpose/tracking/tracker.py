@@ -11,7 +11,7 @@ from sylpose.frames import Box, FrameSet
 from sylpose.methods import FEATURES, METHODS, features_of
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
-from sylpose.tracking.crew import OneProcess
+from sylpose.tracking.crew import Crew, OneProcess
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.nudges import with_nudges
@@ -53,10 +53,35 @@ def track(
 
 
 class Tracking:
-    """The way through a recording, whoever the cameras' crew is."""
+    """The way through a recording, whoever the cameras' crew is.
 
-    def __init__(self, team: Team, joint: Joint) -> None:
-        self._team, self._joint = team, joint
+    Args:
+        parts: by camera, each its own.
+        rig, boxes, method, features, offsets, seed: see `Tracker`.
+
+    Raises:
+        ValueError: as `track`.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        parts: Sequence[CameraPart],
+        crew: Crew,
+        boxes: Mapping[str, Box] | None,
+        *,
+        method: str,
+        features: str,
+        offsets: Mapping[str, float] | None,
+        seed: int,
+    ) -> None:
+        follows = features_of(method, features) == "klt"
+        for name in offsets or {}:
+            if name not in rig.names:
+                raise ValueError(f"offsets: no camera {name!r} in the rig ({', '.join(rig.names)})")
+        late = np.array([(offsets or {}).get(name, 0.0) for name in rig.names])
+        self._team = Team(rig, parts, crew, SOLVERS[method], follows, late, seed, method == METHODS[0])
+        self._joint = Joint(ObjectModel.in_boxes(rig, boxes) if boxes else ObjectModel())
         self._waiting: Sequence[Waiting] = []
         self._number = 0  # of the next frame
 
@@ -110,16 +135,9 @@ class Tracker(Tracking):
         workers: int | None = None,
         seed: int = 0,
     ) -> None:
-        follows = features_of(method, features) == "klt"
-        for name in offsets or {}:
-            if name not in rig.names:
-                raise ValueError(f"offsets: no camera {name!r} in the rig ({', '.join(rig.names)})")
-        crew = OneProcess(len(rig), workers or min(len(rig), os.cpu_count() or 1))
+        self._crew = OneProcess(len(rig), workers or min(len(rig), os.cpu_count() or 1))
         parts = [CameraPart(c, camera) for c, camera in enumerate(rig)]
-        late = np.array([(offsets or {}).get(name, 0.0) for name in rig.names])
-        self._crew = crew
-        team = Team(rig, parts, crew, SOLVERS[method], follows, late, seed, method == METHODS[0])
-        super().__init__(team, Joint(ObjectModel.in_boxes(rig, boxes) if boxes else ObjectModel()))
+        super().__init__(rig, parts, self._crew, boxes, method=method, features=features, offsets=offsets, seed=seed)
 
     def __enter__(self) -> Tracker:
         return self

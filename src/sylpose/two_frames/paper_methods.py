@@ -92,7 +92,7 @@ def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatA
     diagnosis = diagnose(Q, inliers, names=[names[data[i].camera] for i in seen])
     # Where it cannot be told which cameras are wrong, all of them are heard, as by the robust fit.
     trust = diagnosis.weights if diagnosis.consistent else np.ones(len(seen))
-    moments = [PairMoments(float(t) * m.matrix) for t, m in zip(trust, inliers, strict=True)]
+    moments = [m.weighted(float(t)) for t, m in zip(trust, inliers, strict=True)]
     faults = tuple(dict.fromkeys((*robust.faults, *(fault.text for fault in diagnosis.faults if fault is not None))))
     try:
         turn = ESTIMATORS[method](Q, moments, robust.rotation)

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.matrices import symmetric_of, upper_of
 from sylpose.paper.orthographic import quadratic_of, views_of
 from sylpose.paper.so3 import Quadratic
 
@@ -14,8 +15,6 @@ __all__ = ["EVIDENCE", "evidence_of", "packed", "unpacked"]
 
 # Numbers of one: H's upper triangle, h, constant and weight (derived).
 EVIDENCE = 45 + 9 + 2
-
-_UPPER = np.triu_indices(9)
 
 
 def evidence_of(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> Quadratic:
@@ -33,11 +32,9 @@ def evidence_of(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) 
 
 def packed(evidence: Quadratic) -> FloatArray:
     """(56,) as sent. Means and sums of these are those of the evidence."""
-    return np.array([*evidence.H[_UPPER], *evidence.h, evidence.constant, evidence.weight])
+    return np.array([*upper_of(evidence.H), *evidence.h, evidence.constant, evidence.weight])
 
 
 def unpacked(values: FloatArray) -> Quadratic:
     """The inverse of `packed`."""
-    H = np.zeros((9, 9))
-    H[_UPPER] = values[:45]
-    return Quadratic(H + np.triu(H, 1).T, values[45:54], values[54], values[55])
+    return Quadratic(symmetric_of(values[:45]), values[45:54], values[54], values[55])

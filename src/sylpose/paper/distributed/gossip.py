@@ -24,7 +24,7 @@ via relaxed ADMM: stability and linear convergence" (2021); the choice of ρ is 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -162,10 +162,10 @@ def gossip_step(state: GossipState, inbox: Inbox) -> tuple[GossipState, list[Pac
     messages, refused = read(inbox, (EVIDENCE, PASSED), s.refused)
     s = replace(s, refused=refused)
     if s.passing is not None:
-        return _passed(s, s.passing, inbox)
+        return _passed(s, s.passing, messages, {c for c, _ in inbox})
     if any(m.values.size == PASSED for m in messages.values()):
         s, packets = _called(s)
-        return (s, packets) if s.passing is None else _passed(s, s.passing, inbox)
+        return (s, packets) if s.passing is None else _passed(s, s.passing, messages, {c for c, _ in inbox})
     news = newest(messages, {c: e.round for c, e in s.edges.items()})
     edges, change = {}, 0.0
     for c in sorted({*s.edges, *news}):
@@ -209,8 +209,12 @@ def _called(s: GossipState) -> tuple[GossipState, list[Packet]]:
     return replace(s, passing=passing, done=s.round >= s.bound), packets
 
 
-def _passed(s: GossipState, passing: Passing, inbox: Inbox) -> tuple[GossipState, list[Packet]]:
-    passing = passed_on(passing, inbox)
+def _passed(
+    s: GossipState, passing: Passing, messages: Mapping[tuple[int, int], Message], heard: Collection[int]
+) -> tuple[GossipState, list[Packet]]:
+    # What is still under way of the time before is no nonsense.
+    shown = {key: message for key, message in messages.items() if message.values.size == PASSED}
+    passing = passed_on(passing, shown, heard)
     clean = s.clean and all(n <= 1 for n in passing.silent.values())
     passing, packets = passing_packets(passing, s.round, clean)
     s = replace(s, passing=passing, clean=clean, verdict=passing.verdict, refused={**passing.refused, **s.refused})

@@ -7,6 +7,7 @@ rounds; a camera that is never heard of is missed for good once nothing new has 
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.distributed.keeping_step import PATIENCE
-from sylpose.paper.distributed.messages import Inbox, Message, Packet, encode, read
+from sylpose.paper.distributed.messages import Message, Packet, encode
 from sylpose.paper.distributed.showing import AGREED, opened, shown_values
 from sylpose.paper.distributed.verdict import UNKNOWN, Verdict, verdict
 
@@ -62,12 +63,10 @@ def begun(
     return Passing(camera, neighbours, n_cameras, aim, {camera: shown_values(rotation, moments)})
 
 
-def passed_on(p: Passing, inbox: Inbox) -> Passing:
-    """With what came in."""
+def passed_on(p: Passing, messages: Mapping[tuple[int, int], Message], heard: Collection[int]) -> Passing:
+    """With the neighbours' messages, by sender and round, each of `PASSED` numbers; of whom anything was heard."""
     shown, answers, refused = dict(p.shown), dict(p.answers), dict(p.refused)
-    # What is still under way of the time before is no nonsense.
-    news, _ = read([(c, data) for c, data in inbox if c in p.neighbours], (PASSED,), {})
-    for (sender, _), message in sorted(news.items(), key=lambda item: item[0]):
+    for (sender, _), message in sorted(messages.items(), key=lambda item: item[0]):
         of, values = int(message.values[0]), message.values[1:55]
         if message.final:
             answers[sender] = message.values[55:]
@@ -78,7 +77,6 @@ def passed_on(p: Passing, inbox: Inbox) -> Passing:
             shown.setdefault(of, values)
         except ValueError as error:
             refused.setdefault(sender, str(error))
-    heard = {c for c, _ in inbox}
     silent = {c: 0 if c in heard else p.silent.get(c, 0) + 1 for c in p.neighbours}
     still = 0 if len(shown) > len(p.shown) else p.still + 1
     p = replace(p, shown=shown, answers=answers, refused=refused, silent=silent, still=still)

@@ -42,6 +42,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.matrices import symmetric_of, upper_of
 from sylpose.paper.affine_votes import AffineFits, affine_fits
 from sylpose.paper.bad_cameras import TRUSTED, doubt_of
 from sylpose.paper.distributed import leaping
@@ -72,8 +73,6 @@ HUGE = 1e5
 
 # V, 9 numbers; a report, 13 more; a curve, 5 more (derived).
 SIZES = (9, 22, 27)
-
-_UPPER = np.triu_indices(3)
 
 
 class Member(NamedTuple):
@@ -298,14 +297,12 @@ def _report(s: RefineState, Z: FloatArray) -> FloatArray:
     hessian = derivatives(e.H, e.h, Z)[1]
     cost = max(float(e.cost(Z)), 0.0)
     return np.array(
-        [*hessian[_UPPER], cost, e.size, e.weight, doubt_of(s.fits, Z), *Rotation.from_matrix(Z).as_rotvec()]
+        [*upper_of(hessian), cost, e.size, e.weight, doubt_of(s.fits, Z), *Rotation.from_matrix(Z).as_rotvec()]
     )
 
 
 def _unpacked(report: FloatArray) -> tuple[FloatArray, float, float, float]:
-    hessian = np.zeros((3, 3))
-    hessian[_UPPER] = report[:6]
-    return hessian + np.triu(hessian, 1).T, float(report[6]), float(report[7]), float(report[8])
+    return symmetric_of(report[:6]), float(report[6]), float(report[7]), float(report[8])
 
 
 def _nearest_rotation(M: FloatArray) -> FloatArray:

@@ -70,18 +70,24 @@ class Disturbances:
 UNDISTURBED = Disturbances()
 
 
-class CameraState(Protocol):
+class Stepping(Protocol):
+    """What `run` asks of the state of any camera."""
+
+    @property
+    def done(self) -> bool: ...
+
+
+class CameraState(Stepping, Protocol):
     """What the state of every scheme tells."""
 
     @property
     def verdict(self) -> Verdict: ...
     @property
     def refused(self) -> dict[int, str]: ...
-    @property
-    def done(self) -> bool: ...
 
 
-State = TypeVar("State", bound=CameraState)
+State = TypeVar("State", bound=Stepping)
+Scheme = TypeVar("Scheme", bound=CameraState)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +261,7 @@ def _checked(rotations: ArrayLike, moments: Sequence[PairMoments], aim: bool, di
     return Q
 
 
-def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome: Outcome[State]) -> Agreement:
+def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome: Outcome[Scheme]) -> Agreement:
     states = outcome.states
     verdicts = [UNKNOWN if s is None else s.verdict for s in states]
     refused = {c: why for s in reversed(states) if s is not None for c, why in s.refused.items()}
@@ -269,7 +275,7 @@ def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome
         others = [v.rotation for v in good if v.rotation is not None]
         spread = max(float(Rotation.from_matrix(rotation.T @ other).magnitude()) for other in others)
         weights = dict(sorted((c, w) for v in good for c, w in v.weights.items()))
-        weighted = [PairMoments(w * moments[c].matrix) for c, w in weights.items()]
+        weighted = [moments[c].weighted(w) for c, w in weights.items()]
         certified = _certified(Q[list(weights)], weighted, aim, rotation)
     unseen = unseen_turns(information)
     agreed = len(good) == len(judged) > 0 and spread < AGREED
