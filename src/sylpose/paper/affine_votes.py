@@ -46,7 +46,7 @@ STEEP = 4.0 ** np.arange(11)
 # be off, relative (derived: root mean square of the least of two eigenvalues, of twenty matches).
 NOISE_SHARE, NOT_NOISE, NOISE_DOUBT = 0.01, 0.1, 0.4
 # A camera is at fault above this score: of good ones, boxes and ellipsoids in perspective, 99 in 100 are below 4
-# (measured: docs/benchmarks.md#bad-sensors, no good camera of 4,650 is named).
+# (measured: docs/benchmarks.md#bad-sensors, no good camera of 12,400 is named).
 FAULT = 12.0
 # -2 log-likelihood of a camera at fault: its F may be anywhere, and few cameras are. An F larger than a rotation needs
 # slopes here, too: so much is added per log |F|² (derived: F = m a', any m, slopes a of a Cauchy distribution, whose length

@@ -76,8 +76,8 @@ _INFORMATION = np.linalg.inv(np.outer(_MEAN, _MEAN) + np.diag(_SCATTER**2))
 # Others believe the same of the visible side of a body, in their own unknowns:
 # - `paper.depth_plane_kernels`: a plane without an offset, which moments about the mean do not have; any normal is as
 #   likely (slopes about 1); relief 0.3 of the points' spread, its own unknown.
-# - `paper.affine_votes`: no depth but the affine image of a plane: slopes of 0.5, near `SLOPE_SD`; relief is a part of what
-#   that image leaves over, more with the turn.
+# - `paper.affine_votes`: no depth but the affine image of a plane: slopes of 0.5, near `SLOPE_SD`, with a tail as
+#   where any normal is as likely; relief is a part of what that image leaves over, more with the turn.
 # - `landmarks.places.depth_prior`: depths of neighbours that are known, so their scatter, of 0.3 to 1 radii: no less than
 #   `OFFSET_SD`, no more than a body is deep. Its bulge of 0.5 radii, of one camera with boxes, is a body between flat and
 #   round again: half of what a sphere's middle lies nearer than g.
