@@ -28,7 +28,18 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.bad_cameras import FaultKind, solve_robust
 from sylpose.paper.centralized import solve_centralized
 from sylpose.rig import Rig
-from sylpose.simulate import OutlierKind, arc, box, dome, ellipsoid, plane, random_motion, ring, simulate_matches
+from sylpose.simulate import (
+    OutlierKind,
+    SimulatedPair,
+    arc,
+    box,
+    dome,
+    ellipsoid,
+    plane,
+    random_motion,
+    ring,
+    simulate_matches,
+)
 from sylpose.simulate.bodies import Body
 from sylpose.two_frames.motion import estimate_motion
 
@@ -71,16 +82,23 @@ def scene(n: int, turn_deg: float, seed: int, case: Case | None, n_bad: int = 1,
     shape = (ellipsoid((0.15, 0.12, 0.1)), box())[seed % 2] if body is None else body
     motion = random_motion(turn_deg, 0.03, rng)
     pair = simulate_matches(rig, shape, motion, rng=rng)
+    bad = tuple(rng.choice(n, n_bad, replace=False).tolist()) if case else ()
+    return with_faults(rig, pair, bad, case, rng)
+
+
+def with_faults(
+    rig: Rig, pair: SimulatedPair, bad: tuple[int, ...], case: Case | None, rng: np.random.Generator
+) -> Scene:
+    """What cameras see, some of them at fault."""
     rotations = np.array([camera.rotation for camera in rig])
     points = [(m.x, m.y) for m in pair.matches]
-    bad = tuple(rng.choice(n, n_bad, replace=False).tolist()) if case else ()
     for c in bad:
         assert case is not None
         x, y = points[c]
         rotations[c], x, y = spoiled(rotations[c], x, y, case, rng)
         points[c] = x, y
     moments = [PairMoments.from_matches(x, y) for x, y in points]
-    return Scene(rotations, moments, bad, motion.rotation.as_matrix())
+    return Scene(rotations, moments, bad, pair.motion.rotation.as_matrix())
 
 
 def spoiled(
@@ -129,16 +147,9 @@ def board_scene(seed: int, case: Case | None = None, n: int | None = None) -> Bo
     motion = random_motion(turn, 0.03 * shifted, rng)
     start = RigidTransform.from_rotation(pose)
     pair = simulate_matches(rig, plane((0.3, 0.2)), motion, rng=rng, per_camera=matches, noise_px=noise, start=start)
-    rotations = np.array([camera.rotation for camera in rig])
-    angles = np.rad2deg(np.arccos(np.abs(rotations[:, 2] @ pose.apply([0.0, 0.0, 1.0]))))
-    points = [(m.x, m.y) for m in pair.matches]
+    views = np.array([camera.direction for camera in rig])
+    angles = np.rad2deg(np.arccos(np.abs(views @ pose.apply([0.0, 0.0, 1.0]))))
     bad = () if case is None else (int(rng.integers(n)),)
-    for c in bad:
-        assert case is not None
-        x, y = points[c]
-        rotations[c], x, y = spoiled(rotations[c], x, y, case, rng)
-        points[c] = x, y
-    moments = [PairMoments.from_matches(x, y) for x, y in points]
     drawn: dict[str, str | float] = {
         "cameras": n,
         "turn °": turn if shifted else "none, nor a shift",
@@ -147,7 +158,7 @@ def board_scene(seed: int, case: Case | None = None, n: int | None = None) -> Bo
         "rig": "around" if around else "on one side",
         "board": "oblique" if oblique else "facing",
     }
-    return BoardScene(Scene(rotations, moments, bad, motion.rotation.as_matrix()), drawn, angles)
+    return BoardScene(with_faults(rig, pair, bad, case, rng), drawn, angles)
 
 
 class Outcome(NamedTuple):
