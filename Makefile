@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint format bench bench-tracking bench-paper clean
+.PHONY: demo demo-network test lint format bench bench-tracking bench-paper clean
 
 # The package's own file has the version.
 $(VENV)/.installed: pyproject.toml src/sylpose/__init__.py
@@ -22,6 +22,10 @@ $(VENV)/.installed-bench: $(VENV)/.installed
 
 demo: $(VENV)/.installed
 	$(BIN)/sylpose demo --out demo
+
+# Four nodes, a process each, one of which is killed and started again in the middle.
+demo-network: $(VENV)/.installed-dev
+	$(BIN)/sylpose network demo --out demo-network
 
 # Compiled kernels do not notice that a kernel which they call in another file has changed. Small matrices gain nothing from
 # several threads, which would get into each other's way beside several workers.
@@ -57,4 +61,4 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo demo-network .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,12 +1,14 @@
 """The tracker by cameras as nodes, over a simulated network: is it the same, and what does it cost?
 
-    python benchmarks/nodes.py [SCENE ...] [--recordings FOLDER] [--loss 0 0.1]
+    python benchmarks/nodes.py [SCENE ...] [--recordings FOLDER] [--loss 0 0.1] [--mode exact economical]
 
-A scene is KIND:SEED of `benchmarks/kinds.py`, demo:SEED, loop:SEED, or the name of a recording in FOLDER; with each share of
-messages lost. Columns: frames whose status differs from that of one process, and how far poses are from its, at most
-(radians, shares of the object's radius); whether all cameras agree to the bit; rounds per frame, mean; bytes that a camera
-tells per frame, mean, and those of the median round, headers included; steps of the network per frame, which are rounds
-where nothing is lost; bytes that a camera sends per frame, repetitions included.
+A scene is KIND:SEED of `benchmarks/kinds.py`, demo:SEED, loop:SEED, or the name of a recording in FOLDER; in each mode, with
+each share of messages lost. Columns: the root mean squared errors of the motion since the first frame, against the truth, as
+shares of those of one process, turn and displacement; of how many frames the pose is measured, here and there; frames whose
+status differs from that of one process, and how far poses are from its, at most (radians, shares of the object's radius);
+whether all cameras agree to the bit; rounds per frame, mean; bytes that a camera tells per frame, mean, and those of the
+median round, headers included; steps of the network per frame, which are rounds where nothing is lost; bytes that a camera
+sends per frame, repetitions included.
 """
 
 from __future__ import annotations
@@ -18,10 +20,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.live import scene_of
+from benchmarks.live import error, scene_of
 from benchmarks.loops import Turn
-from sylpose.network.agreed import HEADER
+from sylpose.methods import MODES
 from sylpose.network.simulated import Outcome, track_by_nodes
+from sylpose.network.words import HEADER
+from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.distributed.simulated import Disturbances
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
@@ -54,15 +58,30 @@ def agree(outcome: Outcome, cameras: Sequence[int]) -> bool:
     return all(len(other) == len(first) and difference(other, first) == (0, 0.0, 0.0) for other in others)
 
 
-def line(name: str, scene: Turn, disturbances: Disturbances) -> str:
-    expected = list(track(scene.frames, scene.rig, scene.boxes))
-    outcome = track_by_nodes(scene.frames, scene.rig, scene.boxes, disturbances=disturbances)
+def rms(scene: Turn, found: Sequence[TrackedFrame]) -> FloatArray:
+    """(2,) root mean squared errors of the motion since the first frame."""
+    first = next(k for k, f in enumerate(found) if f.pose.world_from_object is not None)
+    solved = [k for k, f in enumerate(found) if k > first and f.pose.world_from_object is not None]
+    errors = [error(scene, first, found[first].pose, k, found[k].pose) for k in solved]
+    return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)))
+
+
+def measured(found: Sequence[TrackedFrame]) -> int:
+    return sum(f.pose.measured for f in found)
+
+
+def line(name: str, scene: Turn, expected: Sequence[TrackedFrame], mode: str, disturbances: Disturbances) -> str:
+    outcome = track_by_nodes(scene.frames, scene.rig, scene.boxes, disturbances=disturbances, mode=mode)
+    ratio = rms(scene, outcome.frames[0]) / rms(scene, expected)
     apart, live, n = difference(outcome.frames[0], expected), range(len(scene.rig)), len(scene.frames)
     told = [np.array(outcome.told[c]) + HEADER.size for c in live]
     cells = [
         name,
         f"{len(scene.rig)}, {n}",
+        mode,
         f"{disturbances.loss:.0%}",
+        f"{ratio[0]:.2f}, {ratio[1]:.2f}",
+        f"{measured(outcome.frames[0])}, {measured(expected)}",
         f"{apart.statuses}; {apart.turn:.1e}, {apart.shift:.1e}",
         "yes" if agree(outcome, live) else "no",
         f"{np.mean([len(t) for t in told]) / n:.1f}",
@@ -75,8 +94,8 @@ def line(name: str, scene: Turn, disturbances: Disturbances) -> str:
 
 
 HEAD = (
-    "| scene | cameras, frames | lost | statuses that differ; poses, rad, radii | all alike | rounds per frame "
-    "| told per frame | bytes of a round | steps per frame | sent per frame |\n" + "|---" * 10 + "|"
+    "| scene | cameras, frames | mode | lost | errors | measured | statuses that differ; poses, rad, radii | all alike "
+    "| rounds per frame | told per frame | bytes of a round | steps per frame | sent per frame |\n" + "|---" * 13 + "|"
 )
 
 
@@ -84,13 +103,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", default=SCENES)
     parser.add_argument("--recordings", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--mode", nargs="+", default=MODES, choices=MODES)
     parser.add_argument("--loss", type=float, nargs="+", default=[0.0, 0.1])
     asked = parser.parse_args()
     print(HEAD, flush=True)
     for name in asked.scenes:
         scene = scene_of(name, asked.recordings)
-        for loss in asked.loss:
-            print(line(name, scene, Disturbances(loss=loss, seed=1)), flush=True)
+        expected = list(track(scene.frames, scene.rig, scene.boxes))
+        for mode in asked.mode:
+            for loss in asked.loss:
+                print(line(name, scene, expected, mode, Disturbances(loss=loss, seed=1)), flush=True)
 
 
 if __name__ == "__main__":

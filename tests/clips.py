@@ -181,6 +181,7 @@ def assert_valid(tracked: Sequence[TrackedFrame]) -> None:
         assert pose.inliers.shape == pose.residuals.shape == (len(f.frames.images),)
         if not pose.measured:
             assert pose.status not in (FrameStatus.TRACKED, FrameStatus.FIRST, FrameStatus.RELOCALISED)
+        if not pose.seen:
             assert not pose.inliers.any()
             assert np.isnan(pose.residuals).all()
             assert f.sightings == ()

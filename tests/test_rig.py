@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.rig import Camera, LensModel, Rig, nearest_point_to_rays
+from sylpose.rig import GRID_PX, Camera, LensModel, Rig, nearest_point_to_rays
 
 MATRIX = np.array([[800.0, 0, 330], [0, 790, 235], [0, 0, 1]])
 POSE = RigidTransform.from_components([0.1, -0.2, 3.0], Rotation.from_rotvec([0.4, -0.7, 0.3]))
@@ -203,3 +203,11 @@ def test_nearest_point_to_parallel_rays() -> None:
     np.testing.assert_allclose(nearest_point_to_rays([[1, 2, 3]], d), [1, 2, 4], atol=1e-12)
     two = nearest_point_to_rays([[1, 0, 3], [-1, 0, 5]], np.concatenate([d, -d]))
     np.testing.assert_allclose(two, [0, 0, 4], atol=1e-12)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_points_on_the_grid_are_where_they_are_and_whole_after_a_power_of_two(lens: str) -> None:
+    c, pixels = camera(lens), np.random.default_rng(0).uniform(50, 430, (200, 2))
+    exact, found = c.normalize(pixels), c.normalize_to_grid(pixels)
+    assert 0 < np.abs(found - exact).max() * c.focal <= GRID_PX / 2
+    np.testing.assert_array_equal(found * 2**20, np.rint(found * 2**20))

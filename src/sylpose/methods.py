@@ -8,7 +8,17 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["FEATURES", "METHODS", "MOTION_METHODS", "PAPER_METHODS", "TABLE", "Method", "features_of", "summary"]
+__all__ = [
+    "FEATURES",
+    "METHODS",
+    "MODES",
+    "MOTION_METHODS",
+    "PAPER_METHODS",
+    "TABLE",
+    "Method",
+    "features_of",
+    "summary",
+]
 
 
 class Method(NamedTuple):
@@ -41,6 +51,8 @@ def _paper(name: str, needs: str, gives: str, function: str) -> Method:
 
 # In each, the first is the default.
 FEATURES = ("auto", "sift", "klt")
+# How cameras that are nodes come to a frame's pose (`landmarks.one_of_many`).
+MODES = ("exact", "economical")
 TABLE = (
     Method(
         "landmarks",

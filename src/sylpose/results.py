@@ -195,8 +195,8 @@ class RotationEstimate:
         status: look at it first.
         rotation: (3, 3) R, X_j = R X_i + t in the world frame: the best guess where a part of the turn is not observable,
             NaN without any.
-        information: (3, 3) of w, R = exp(w) R̂, world axes, 1/rad². It shows the directions that cannot be observed, and
-            knows nothing of a model's bias. Zero without an answer.
+        information: (3, 3) of w, R = exp(w) R̂, world axes, 1/rad². It shows the directions that cannot be observed. Of
+            estimators that ignore depth it counts what surfaces may have done (`paper.surfaces`). Zero without an answer.
         unseen: (k, 3) unit directions of w that are not seen (docs/conventions.md, "Limits").
         iterations: of the solver; rounds, of those that exchange messages.
     """

@@ -286,6 +286,30 @@ def test_a_growing_folder_is_tracked_as_it_grows(session: Path, tmp_path: Path) 
 # --- start-up ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_nodes_write_what_one_process_writes(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["track", str(session), "--stop", "6", "--no-overlay", "--out"]
+    assert main([*asked, str(tmp_path / "one")]) == 0
+    expected = read_trajectory(tmp_path / "one" / "trajectory.csv")
+    capsys.readouterr()
+    for mode, apart in (("exact", 1e-8), ("economical", 1e-3)):
+        assert main([*asked, str(tmp_path / mode), "--distributed", mode]) == 0
+        assert "3 nodes told each other" in " ".join(capsys.readouterr().out.split())
+        found = read_trajectory(tmp_path / mode / "trajectory.csv")
+        assert [f.status for f in found] == [f.status for f in expected]
+        for a, b in zip(found, expected, strict=True):
+            assert a.world_from_object is not None
+            assert b.world_from_object is not None
+            np.testing.assert_allclose(a.world_from_object.as_matrix(), b.world_from_object.as_matrix(), atol=apart)
+        assert {f.name for f in (tmp_path / mode).iterdir()} == {f.name for f in (tmp_path / "one").iterdir()}
+
+
+def test_what_nodes_cannot_do(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = wrong(capsys, "track", session, "--distributed", "exact", "--resume")
+    assert "nodes leave no checkpoint, so there is nothing to resume" in said
+    assert "'quick' is neither of exact, economical" in wrong(capsys, "track", session, "--distributed", "quick")
+
+
 def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys\nfrom sylpose.cli import main\nmain(['track', '-h'])\n"

@@ -61,8 +61,11 @@ def test_descriptors_are_rootsift(images: list[Image], camera: Camera) -> None:
 
 def test_normalized_points_are_the_pixels_undistorted(images: list[Image], camera: Camera) -> None:
     features = detect(images[0], camera)
-    np.testing.assert_allclose(features.normalized, camera.normalize(features.pixels))
-    np.testing.assert_allclose(camera.denormalize(features.normalized), features.pixels, atol=1e-3)
+    np.testing.assert_array_equal(features.normalized, camera.normalize_to_grid(features.pixels))
+    # On a grid of at most 1/128 pixel, which is half of that off at most.
+    off = camera.focal * np.abs(features.normalized - camera.normalize(features.pixels))
+    assert 1e-5 < off.max() <= 1 / 256
+    np.testing.assert_allclose(camera.denormalize(features.normalized), features.pixels, atol=1 / 256 + 1e-3)
 
 
 @pytest.mark.parametrize("sigma", [2.0, 3.0, 5.0])

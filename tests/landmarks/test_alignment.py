@@ -14,9 +14,10 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from sylpose.landmarks.alignment import Aligned, OneOfMany, Sights, align, stack
+from sylpose.landmarks.alignment import FIRST_PX, Aligned, Sights, Start, align, stack
 from sylpose.landmarks.camera_terms import CUTOFF, INDEPENDENT, camera_terms, own_of
 from sylpose.landmarks.joint_step import disagreement, doubt_cameras
+from sylpose.landmarks.one_of_many import OneOfMany
 from sylpose.landmarks.told import Says
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.rig import Camera, Rig
@@ -615,24 +616,27 @@ def as_sent(told: T) -> T:
     return type(told)(*(type(value)(x) for value, x in zip(values, numbers.tolist(), strict=True)))
 
 
-def each_for_itself(sights: Sequence[Sights]) -> list[Aligned]:
-    """Every camera in a thread of its own: all that it knows of the others is what they send."""
+def each_for_itself(
+    sights: Sequence[Sights], starts: Sequence[Start] = ((*IDENTITY, FIRST_PX),), *, economical: bool = False
+) -> tuple[list[list[Aligned]], int]:
+    """Every camera in a thread of its own: all that it knows of the others is what they send. And the number of rounds."""
     n = len(sights)
     sent: list[Any] = [None] * n
-    together = Barrier(n)
+    together, rounds = Barrier(n), [0] * n
 
-    def one(c: int) -> Aligned:
-        def exchange(told: T, nothing: T, /) -> list[T]:  # noqa: ARG001
-            sent[c] = as_sent(told)
+    def one(c: int) -> list[Aligned]:
+        def exchange(told: tuple[T, ...], nothing: tuple[T, ...], /) -> list[tuple[T, ...]]:  # noqa: ARG001
+            rounds[c] += 1
+            sent[c] = tuple(as_sent(part) for part in told)
             together.wait(30)
             heard = list(sent)
             together.wait(30)  # nobody sends again before all have read
             return heard
 
-        return OneOfMany(sights[c], c, exchange).align(*IDENTITY)
+        return OneOfMany(sights[c], c, n, exchange, economical=economical).align(starts)
 
     with ThreadPoolExecutor(n) as pool:
-        return list(pool.map(one, range(n)))
+        return list(pool.map(one, range(n))), rounds[0]
 
 
 @pytest.mark.parametrize("how", ["all well", "one camera is junk", "one camera sees nothing"])
@@ -644,7 +648,7 @@ def test_cameras_that_send_numbers_come_to_the_same_to_the_bit(rig: Rig, how: st
     if how == "one camera sees nothing":
         sights[1] = some(sights[1], np.arange(0))
     here = align(sights, *IDENTITY)
-    for c, found in enumerate(each_for_itself(sights)):
+    for c, (found,) in enumerate(each_for_itself(sights)[0]):
         for name in ("rotation", "shift", "information", "sigma_px", "doubt", "inliers"):
             np.testing.assert_array_equal(getattr(found, name), getattr(here, name))
         assert (found.cost, found.vote, found.converged, found.iterations) == (
@@ -656,3 +660,26 @@ def test_cameras_that_send_numbers_come_to_the_same_to_the_bit(rig: Rig, how: st
         np.testing.assert_array_equal(found.weights[0], here.weights[c])
         np.testing.assert_array_equal(found.residuals[0], here.residuals[c])
         np.testing.assert_array_equal(found.surface[0], here.surface[c])
+
+
+@pytest.mark.parametrize("how", ["all well", "one camera is junk", "one camera sees nothing", "a bad prediction"])
+def test_own_solutions_refined_in_few_rounds_come_to_about_the_same(rig: Rig, how: str) -> None:
+    truth, rng = motion(8 if how == "a bad prediction" else 3, 0.03), np.random.default_rng(0)
+    sights = sights_of(rig, truth, 5, depth_sd=0.02, noise_px=0.4, outliers=0.1, drawn=True)
+    if how == "one camera is junk":
+        sights[2] = spoilt(sights[2], rig.cameras[2], "junk", rng)
+    if how == "one camera sees nothing":
+        sights[1] = some(sights[1], np.arange(0))
+    here = align(sights, *IDENTITY)
+    found, rounds = each_for_itself(sights, [(*IDENTITY, FIRST_PX), (*IDENTITY, 8.0)], economical=True)
+    first = found[0][0]
+    # The last one says how good the pose is.
+    assert rounds <= 6 + (how == "one camera is junk")
+    for both in found:
+        for one in both:  # two starts, one pose
+            np.testing.assert_array_equal(one.rotation, first.rotation)
+            np.testing.assert_array_equal(one.doubt, first.doubt)
+    off = np.append(Rotation.from_matrix(first.rotation @ here.rotation.T).as_rotvec(), first.shift - here.shift)
+    assert first.converged
+    assert 0 < off @ here.information @ off < 0.3**2
+    np.testing.assert_allclose(np.diag(first.information), np.diag(here.information), rtol=0.2)

@@ -10,7 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.centralized import CentralizedSolution, solve_centralized, solve_centralized_batch, status_of
+from sylpose.paper.centralized import (
+    CentralizedSolution,
+    solve_centralized,
+    solve_centralized_batch,
+    status_of,
+    unseen_turns,
+)
 from sylpose.paper.equation import solve_generalized_sylvester
 from sylpose.paper.orthographic import quadratic_of, views_of
 from sylpose.paper.so3 import Quadratic
@@ -175,9 +181,8 @@ def test_units_and_weights_change_nothing(seed: int, unit: float, weight: float)
     assert b.cost == pytest.approx(a.cost, rel=1e-6)
     np.testing.assert_allclose(b.multiplier, a.multiplier, atol=1e-7)
     # Residual variance and spread scale together, and so do the weights of both: information counts the weight once.
-    np.testing.assert_allclose(
-        b.information, weight * a.information, rtol=1e-5, atol=1e-6 * weight * a.information.max()
-    )
+    noise = weight * a.noise_information
+    np.testing.assert_allclose(b.noise_information, noise, rtol=1e-5, atol=1e-6 * noise.max())
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
@@ -249,7 +254,7 @@ def test_cameras_in_one_plane_do_not_see_a_turn_about_its_normal() -> None:
     assert sorted(angle(c, turn) < 1e-6 for c in solution.candidates) == [False, True]
     assert min(angle(c, turn.T) for c in solution.candidates) < 1e-6
     still = solve_centralized(cameras, moments_of(orthographic(rng, cameras, np.eye(3))), aim=False)
-    values, vectors = np.linalg.eigh(still.information)
+    values, vectors = np.linalg.eigh(still.noise_information)
     assert values[0] < 1e-5 * values[1]
     assert abs(vectors[2, 0]) > 0.999
 
@@ -330,8 +335,10 @@ def test_the_status_says_what_the_answer_is_worth() -> None:
     assert status_of(False, True, good.unseen) is Status.NOT_CONVERGED
     one = cameras[:1]
     mirrored = solve_centralized(one, moments_of(orthographic(rng, one, turn, noise=0.02, n=200)), aim=False)
-    assert mirrored.status is Status.NOT_CERTIFIED
-    assert mirrored.status.has_pose
+    # Noise alone would leave it to be seen; a surface that leans would not.
+    assert len(unseen_turns(mirrored.noise_information, mirrored.rotation, 3)) == 0
+    assert status_of(True, mirrored.certified, good.unseen) is Status.NOT_CERTIFIED
+    assert mirrored.status is Status.TURN_NOT_OBSERVABLE
     still = solve_centralized(one, moments_of(orthographic(rng, one, np.eye(3))), aim=False)
     assert still.status is Status.TURN_NOT_OBSERVABLE
     nothing = [PairMoments.from_matches(rng.normal(size=(9, 2)), rng.normal(size=(9, 2))) for _ in cameras]
@@ -360,7 +367,7 @@ def test_a_batch_gives_each_problem_the_answer_that_it_has_alone_to_the_bit(aim:
             alone.converged,
             alone.iterations,
         )
-        for name in ("candidates", "costs", "multiplier", "information"):
+        for name in ("candidates", "costs", "multiplier", "information", "noise_information"):
             np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
     np.testing.assert_array_equal(batch.rotations, [one.rotation for one in batch])
     some = solve_centralized_batch(cameras[7:2:-1], moments[7:2:-1], aim=aim)
@@ -372,7 +379,8 @@ def test_problems_of_the_same_cameras_may_share_them() -> None:
     shared = solve_centralized_batch(cameras[0], moments, aim=False)
     repeated = solve_centralized_batch(np.repeat(cameras[:1], 5, axis=0), moments, aim=False)
     np.testing.assert_array_equal(shared.candidates, repeated.candidates)
-    np.testing.assert_array_equal(shared.information, repeated.information)
+    np.testing.assert_array_equal(shared.noise_information, repeated.noise_information)
+    np.testing.assert_array_equal(shared[2].information, repeated[2].information)
     assert len(solve_centralized_batch(cameras[0], moments[:0])) == 0
 
 

@@ -224,7 +224,8 @@ def test_units_and_weights_change_nothing(seed: int, unit: float, weight: float)
     b = solve_one_camera(np.eye(3), PairMoments.from_matches(unit * x, unit * y, np.full(len(x), weight)), aim=False)
     np.testing.assert_allclose(b.rotations, a.rotations, atol=1e-8)
     assert b.cost == pytest.approx(a.cost, rel=1e-8)
-    np.testing.assert_allclose(b.information, weight * a.information, atol=1e-6 * weight * a.information.max())
+    noise = weight * a.noise_information
+    np.testing.assert_allclose(b.noise_information, noise, atol=1e-6 * noise.max())
 
 
 @given(seeds)
@@ -307,7 +308,7 @@ def test_information_against_finite_differences(seed: int) -> None:
         solution = solve(q, moments)
         quadratic = quadratic_of(views_of(q[None], [moments]))
         unit = 1 / float(quadratic.variance(quadratic.cost(solution.rotations[0])))
-        for rotation, information in zip(solution.rotations, solution.information, strict=True):
+        for rotation, information in zip(solution.rotations, solution.noise_information, strict=True):
 
             def cost(w: FloatArray, rotation: FloatArray = rotation, quadratic: so3.Quadratic = quadratic) -> float:
                 return float(quadratic.cost(Rotation.from_rotvec(w).as_matrix() @ rotation))
@@ -337,7 +338,7 @@ def test_a_small_out_of_plane_turn_is_seen_to_second_order_only() -> None:
     weakest, strongest = [], []
     for turn_angle in (0.4, 0.04):
         moments = seen(np.random.default_rng(2), points, Rotation.from_rotvec([turn_angle, 0, 0.2]).as_matrix(), 0)
-        values = np.linalg.eigvalsh(solve_one_camera(np.eye(3), moments, aim=False).information[0])
+        values = np.linalg.eigvalsh(solve_one_camera(np.eye(3), moments, aim=False).noise_information[0])
         # In units of the variance, which here is that of the ignored depth.
         weakest.append(values[0] / values[2])
         strongest.append(values[2])

@@ -321,6 +321,21 @@ def test_errors_of_references_with_common_ancestors_are_not_averaged_away() -> N
         assert np.linalg.eigvalsh(slack).max() > 1e-9
 
 
+@pytest.mark.parametrize("alike", [0.3, 1.0])
+def test_errors_that_go_on_as_the_turn_does_add_up(alike: float) -> None:
+    """As much as the correlation says: the standard deviations of two errors that are the same add."""
+    C = random_covariance(np.random.default_rng(4))
+    known = {3: solved(3, at(5), C)}
+    same = np.asarray(np.linalg.inv(C) - np.diag(np.repeat([np.pi**-2, RADIUS**-2], 3)))
+    found = covariance_with_references(same, at(5), [agreed(_3=40.0)], known, RADIUS, alike)
+    np.testing.assert_allclose(found, (2 + 2 * alike) * C, rtol=1e-5, atol=1e-14)
+    # A covariance whatever the two are, and the sum of both where they have nothing to do with each other.
+    own = inverse_bounded(INFORMATION)
+    other = covariance_with_references(INFORMATION, at(5), [agreed(_3=40.0)], known, RADIUS, alike)
+    assert np.linalg.eigvalsh(other).min() > 0
+    assert np.trace(own + C) < np.trace(other) < 2.001 * np.trace(own + C)
+
+
 def test_without_any_reference_there_is_nothing_to_inherit() -> None:
     found = covariance_with_references(INFORMATION, at(5), [agreed(), agreed()], {}, RADIUS)
     np.testing.assert_allclose(found, inverse_bounded(INFORMATION), rtol=1e-9, atol=1e-18)

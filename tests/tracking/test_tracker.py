@@ -126,10 +126,14 @@ def test_cameras_of_different_sizes() -> None:
 @pytest.mark.parametrize("method", [method for method in METHODS if method not in ("exchange", "gossip")])
 def test_every_method_runs(clip: Clip, method: str) -> None:
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, method=method))
-    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
+    alone = method in ("one-camera", "unconstrained")
+    said = {FrameStatus.TRACKED, FrameStatus.UNCERTAIN} if alone else {FrameStatus.TRACKED}
+    assert statuses(tracked)[0] is FrameStatus.FIRST
+    assert set(statuses(tracked)[1:]) <= said
+    assert not alone or statuses(tracked)[-1] is FrameStatus.UNCERTAIN
     assert_valid(tracked)
     error = errors(tracked, clip.truth)
-    if method in ("one-camera", "unconstrained"):  # a single camera sees a turn out of its image poorly
+    if alone:  # a single camera sees a turn out of its image poorly
         assert error[:, 0].max() < 40
     elif method in (
         "sylvester",

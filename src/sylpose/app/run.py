@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.frames import FrameSet
-from sylpose.methods import FEATURES, METHODS, features_of
+from sylpose.methods import FEATURES, METHODS, MODES, features_of
+from sylpose.network.stepwise import NodesTracker
 from sylpose.report.files import output_folder, writing
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
@@ -45,6 +47,7 @@ class Run:
             "overlay", "smoothing" and "plots".
         changes: by object, what was found wrong with the calibration, a sentence for each camera; nothing unless that was
             asked for.
+        network: by object, what its nodes told each other, a sentence; nothing where one process did everything.
     """
 
     trajectories: dict[str, Trajectory]
@@ -52,6 +55,7 @@ class Run:
     problems: tuple[str, ...]
     seconds: dict[str, float]
     changes: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    network: dict[str, str] = field(default_factory=dict)
 
     @property
     def trajectory(self) -> Trajectory:
@@ -90,6 +94,8 @@ def track_session(
     smooth: bool | None = None,
     refine_calibration: bool = False,
     seed: int = 0,
+    workers: int | None = None,
+    distributed: str | None = None,
     resume: bool = False,
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
     on_resume: Callable[[int], None] | None = None,
@@ -116,6 +122,9 @@ def track_session(
         smooth: refine all poses together at the end (`sylpose.smoothing`); as tracked they are in `tracked.tum` and .csv.
             None: recordings of up to 10,000 frames, with the method "landmarks".
         refine_calibration: smooth, and refine the calibration with the poses; it goes to `calibration.refined.toml`.
+        workers: as in `Tracker`; the result does not depend on it.
+        distributed: None for one process; "exact" or "economical": by nodes, one for each camera, over a simulated network
+            (`network.stepwise`), of a recording.
         resume: go on with the run in `out` that was interrupted. It must have had the same options.
         checkpoint_seconds: between two checkpoints; 0 for one after every frame. Live sessions have none.
         on_resume: called with the number of frames that the interrupted run has solved.
@@ -132,6 +141,8 @@ def track_session(
         OSError: naming the file or folder that cannot be written or read.
     """
     features_of(method, features)
+    if distributed is not None:
+        _refuse(distributed, session, resume=resume)
     smooth = True if refine_calibration else smooth
     offsets = find_offsets(session) if offsets is None else dict(offsets)
     if isinstance(session, Session):  # then they are in its time stamps
@@ -151,9 +162,9 @@ def track_session(
     folder, clock = output_path(session, out), Clock()
     frames = session.frames(start, stop, every, said)
     saver = None
-    if isinstance(session, Session):
-        options = {name: "none" if value is None else str(value) for name, value in asked.items()}
-        saver = _Saver(folder / CHECKPOINT, options, fingerprint(session), checkpoint_seconds, said, clock)
+    if isinstance(session, Session) and distributed is None:
+        told = {name: "none" if value is None else str(value) for name, value in asked.items()}
+        saver = _Saver(folder / CHECKPOINT, told, fingerprint(session), checkpoint_seconds, said, clock)
     saved = _load(saver, folder) if resume else None
     position = 0
     if saved is not None and isinstance(session, Session):
@@ -164,19 +175,13 @@ def track_session(
 
     with ExitStack() as stack:
         if saved is not None:
-            trackers: dict[str, Tracker] = saved["trackers"]
+            trackers: dict[str, Tracker | NodesTracker] = saved["trackers"]
         else:
-            trackers = {
-                name: Tracker(
-                    session.rig,
-                    session.of(name).boxes or None,
-                    method=method,
-                    features=features,
-                    offsets=late,
-                    seed=seed,
-                )
-                for name in session.objects
-            }
+            options: dict[str, Any] = {"method": method, "features": features, "offsets": late, "seed": seed}
+            of: Any = partial(Tracker, workers=workers)
+            if distributed is not None:
+                of = partial(NodesTracker, mode=distributed)
+            trackers = {name: of(session.rig, session.of(name).boxes or None, **options) for name in session.objects}
         for tracker in trackers.values():
             stack.enter_context(tracker)
         output_folder(folder)
@@ -235,7 +240,18 @@ def track_session(
     files = [file for output in outputs.values() for file in output.files] + ([overlay_path] if overlay else [])
     trajectories = {name: output.trajectory for name, output in outputs.items()}
     changes = {name: tuple(output.changes) for name, output in outputs.items()}
-    return Run(trajectories, tuple(files), tuple(problems), clock.seconds, changes)
+    network = {name: tracker.cost() for name, tracker in trackers.items() if isinstance(tracker, NodesTracker)}
+    return Run(trajectories, tuple(files), tuple(problems), clock.seconds, changes, network)
+
+
+def _refuse(distributed: str, session: Session | LiveSession, *, resume: bool) -> None:
+    """What nodes cannot do."""
+    if distributed not in MODES:
+        raise ValueError(f"distributed: {distributed!r} is neither of {', '.join(MODES)}")
+    if resume:
+        raise ValueError("distributed: nodes leave no checkpoint, so there is nothing to resume")
+    if not isinstance(session, Session):
+        raise ValueError("distributed: nodes are simulated for recordings, not for live cameras")
 
 
 def _end(session: Session | LiveSession, stop: int | None) -> int:
@@ -274,7 +290,7 @@ def _remove_checkpoint(folder: Path) -> None:
             old.unlink(missing_ok=True)
 
 
-def _state(position: int, trackers: dict[str, Tracker], outputs: dict[str, ObjectOutput]) -> object:
+def _state(position: int, trackers: Mapping[str, Tracker | NodesTracker], outputs: dict[str, ObjectOutput]) -> object:
     """What a checkpoint holds: all that the next frames depend on."""
     states = {name: output.state() for name, output in outputs.items()}
     return {"position": position, "trackers": trackers, "outputs": states}

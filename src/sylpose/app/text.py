@@ -194,6 +194,9 @@ def print_summary(console: Console, run: Run, tracked: int) -> None:
         console.print()
         print_table(console, ("Camera", "frames used", "inliers", "residual"), _per_camera(trajectory))
         console.print()
+        if name in run.network:
+            print_facts(console, [("Network", run.network[name])])
+            console.print()
         if changes := run.changes.get(name):
             print_facts(console, [("Calibration" if not k else "", said) for k, said in enumerate(changes)])
             console.print()

@@ -10,7 +10,7 @@ from typing import Any
 from sylpose.calibration import anipose, caliscope, filestorage, native
 from sylpose.rig import Rig
 
-__all__ = ["find", "load", "save"]
+__all__ = ["find", "is_calibration_name", "load", "save"]
 
 SUFFIXES = (".toml", ".yml", ".yaml", ".json", ".xml")
 KNOWN = (
@@ -32,7 +32,7 @@ def find(folder: str | os.PathLike[str]) -> Path:
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
-    found = sorted(path for path in folder.iterdir() if path.is_file() and _is_calibration_name(path))
+    found = sorted(path for path in folder.iterdir() if path.is_file() and is_calibration_name(path))
     if not found:
         raise ValueError(
             f"{folder}: no calibration in it; expected one such as calibration.toml, camera_array.toml, "
@@ -91,7 +91,8 @@ def save(rig: Rig, path: str | os.PathLike[str]) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def _is_calibration_name(path: Path) -> bool:
+def is_calibration_name(path: Path) -> bool:
+    """Whether `find` takes a file of this name for a calibration."""
     stem = path.stem.lower()
     named = stem in ("camera_array", "cameras", "rig") or stem.startswith("calib")
     return path.suffix.lower() in SUFFIXES and (named or stem.endswith(("calib", "calibration")))

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-__all__ = ["belongs_to", "image_files", "image_numbers", "match_names"]
+__all__ = ["IMAGE_SUFFIXES", "belongs_to", "image_files", "image_numbers", "match_names"]
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm", ".jp2"})
 

@@ -16,7 +16,7 @@ from sylpose.capture.images import read_image
 from sylpose.capture.names import image_files, image_numbers, match_names
 from sylpose.rig import Camera, Rig
 
-__all__ = ["Source", "find_sources", "open_video"]
+__all__ = ["NO_CAMERAS", "VIDEO_SUFFIXES", "Source", "find_sources", "open_video", "source_of"]
 
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv", ".ogv"}
@@ -185,3 +185,19 @@ def _count_frames(path: Path, rate: float | None, warnings: list[str]) -> int:
             f"{path.name} breaks off: {n_frames} frames, {end:.2f} s of the {declared:.2f} s that it declares."
         )
     return n_frames
+
+
+def source_of(path: Path, camera: Camera) -> Source:
+    """One camera's recording: a video, or a folder of images.
+
+    Raises:
+        FileNotFoundError: it is not there.
+        ValueError: it is neither, or of another size than the camera's.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file or folder")
+    if not path.is_dir():
+        return _probe_video(path, camera, [])
+    if not image_files(path):
+        raise ValueError(f"{path}: no images in this folder")
+    return _probe_images(path, camera)

@@ -120,7 +120,7 @@ def detect(
         return Features.none()
     pixels = _cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + np.array([left, top]) - SIFT_BIAS_PX
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
-    return Features(pixels, camera.normalize(pixels), root.astype(np.float32))
+    return Features(pixels, camera.normalize_to_grid(pixels), root.astype(np.float32))
 
 
 def match_features(a: Features, b: Features, ratio: float = 0.8, max_shift_px: float = np.inf) -> IntArray:

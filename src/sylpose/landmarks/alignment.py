@@ -17,14 +17,15 @@ its pose against theirs, a smooth function without a cliff. Should they disagree
 poses so found the one is taken that all cameras but one agree on best.
 
 Each round is one camera's part (`camera_terms`), which needs that camera's matches alone, and a joint step (`joint_step`),
-which needs a few numbers from each: `align` runs both in one process, `OneOfMany` runs one camera among others elsewhere.
+which needs a few numbers from each: `align` runs both in one process, `landmarks.one_of_many` one camera among others that
+are elsewhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -38,11 +39,27 @@ from sylpose.landmarks.camera_terms import (
     take_step,
 )
 from sylpose.landmarks.joint_step import MAX_ROUNDS, Round, first_round, joint_step, measures_noise
-from sylpose.landmarks.told import Exchange, Has, Judges, Says
+from sylpose.landmarks.told import Judges
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.compiled import kernel
 
-__all__ = ["FIRST_PX", "Aligned", "OneOfMany", "Sights", "align"]
+__all__ = [
+    "FIRST_PX",
+    "Aligned",
+    "Job",
+    "Sights",
+    "Start",
+    "agreed",
+    "align",
+    "aligned",
+    "first_job",
+    "judged",
+    "stack",
+]
+
+# A rotation (3, 3), a shift (3,), and the noise that the first round assumes, pixels: the pose should be right within a few
+# times that.
+Start = tuple[FloatArray, FloatArray, float]
 
 # Noise that the first, forgiving rounds assume, pixels: from a bad prediction to a keypoint's own noise (choice).
 SCHEDULE_PX = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
@@ -105,6 +122,7 @@ class Aligned:
             fitted: poses of the same sights are compared by it; votes: (C,) the same of each camera's matches.
         converged: whether the last step was negligible and three matches at least agree.
         iterations: of Gauss-Newton.
+        matches: (C,) number of matches.
         sigma_px: (C,) each camera's noise.
         doubt: (C,) 1, or more for cameras that disagree with the others: what they say has so many times the variance that
             their matches give it.
@@ -122,6 +140,7 @@ class Aligned:
     votes: FloatArray
     converged: bool
     iterations: int
+    matches: IntArray
     sigma_px: FloatArray
     doubt: FloatArray
     inliers: IntArray
@@ -142,76 +161,93 @@ def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, fir
     """
     if not sights:
         raise ValueError("alignment needs the sights of one camera at least, got none")
-    return _agreed(_Here(stack(sights)), rotation, shift, first_px)
+    return agreed(_Here(stack(sights)), [(np.asarray(rotation, float), np.asarray(shift, float), first_px)])[0]
+
+
+class Job(NamedTuple):
+    """What is to be solved: Gauss-Newton from one start.
+
+    Attributes:
+        schedule: noise that the first rounds assume, pixels.
+        rotation, shift: the start.
+        doubt: (C,) the doubt there is.
+        left_out: a camera that has no say; -1: all have.
+    """
+
+    schedule: Sequence[float]
+    rotation: FloatArray
+    shift: FloatArray
+    doubt: FloatArray
+    left_out: int = -1
 
 
 class _Cameras(Protocol):
-    """All cameras, here or elsewhere; matches: (C,) how many each has."""
+    """All cameras, here or elsewhere; so many."""
 
     @property
-    def matches(self) -> IntArray: ...
+    def count(self) -> int: ...
 
-    def solve(
-        self, schedule: Sequence[float], rotation: FloatArray, shift: FloatArray, doubt: FloatArray, left_out: int = -1
-    ) -> Aligned:
-        """Gauss-Newton from one start, with the noise (S,) that the first rounds assume, pixels, the doubt (C,) there is,
-        and without a camera."""
+    def solve(self, jobs: Sequence[Job]) -> list[Aligned]:
+        """All of them, which have nothing to do with each other: cameras elsewhere work at them side by side."""
 
 
-def _agreed(cameras: _Cameras, rotation: FloatArray, shift: FloatArray, first_px: float) -> Aligned:
-    """The pose of all cameras; should they disagree, the one that all but one agree on best."""
-    schedule = [s for s in SCHEDULE_PX if s <= first_px] or list(SCHEDULE_PX[-1:])
-    start = np.asarray(rotation, float), np.asarray(shift, float)
-    no_doubt = np.ones(len(cameras.matches))
-    joint = cameras.solve(schedule, *start, no_doubt)
-    voters = np.flatnonzero(cameras.matches >= MIN_VOTES).tolist()
-    if len(voters) < 3 or not _disagree(joint, cameras.matches, voters):
-        return joint
-    candidates = [joint]
-    for c in voters:
-        without = cameras.solve(schedule, *start, no_doubt, left_out=c)
-        doubt = np.where(np.arange(len(no_doubt)) == c, LEFT_OUT, 1.0)
-        candidates.append(cameras.solve(SCHEDULE_PX[-1:], without.rotation, without.shift, doubt))
-    # One vote each, however many matches they have; the worst does not count.
-    costs = [float(np.mean(np.sort(candidate.votes[voters])[:-1])) for candidate in candidates]
-    costs[0] -= VOTE_MARGIN
-    return candidates[int(np.argmin(costs))]
+def first_job(start: Start, cameras: int) -> Job:
+    """From one start, without a doubt in any camera."""
+    rotation, shift, first_px = start
+    return Job([s for s in SCHEDULE_PX if s <= first_px] or SCHEDULE_PX[-1:], rotation, shift, np.ones(cameras))
 
 
-def _disagree(joint: Aligned, matches: IntArray, voters: Sequence[int]) -> bool:
-    shares, noise = joint.inliers[voters] / matches[voters], joint.sigma_px[voters]
+def agreed(cameras: _Cameras, starts: Sequence[Start]) -> list[Aligned]:
+    """From each start the pose of all cameras; should they disagree, the one that all but one agree on best."""
+    jobs = [first_job(start, cameras.count) for start in starts]
+    out = cameras.solve(jobs)
+    if not out:
+        return []
+    voters = np.flatnonzero(out[0].matches >= MIN_VOTES).tolist()
+    odd = [k for k, joint in enumerate(out) if len(voters) > 2 and _disagree(joint, voters)]
+    without = iter(cameras.solve([jobs[k]._replace(left_out=c) for k in odd for c in voters]))
+    again = []
+    for _ in odd:
+        for c in voters:
+            found, doubt = next(without), np.where(np.arange(cameras.count) == c, LEFT_OUT, 1.0)
+            again.append(Job(SCHEDULE_PX[-1:], found.rotation, found.shift, doubt))
+    heard_again = iter(cameras.solve(again))
+    for k in odd:
+        candidates = [out[k], *(next(heard_again) for _ in voters)]
+        # One vote each, however many matches they have; the worst does not count.
+        costs = [float(np.mean(np.sort(candidate.votes[voters])[:-1])) for candidate in candidates]
+        costs[0] -= VOTE_MARGIN
+        out[k] = candidates[int(np.argmin(costs))]
+    return out
+
+
+def _disagree(joint: Aligned, voters: Sequence[int]) -> bool:
+    shares, noise = joint.inliers[voters] / joint.matches[voters], joint.sigma_px[voters]
     return bool(
         joint.doubt.max() > DOUBTED or noise.max() > NOISY * np.median(noise) or shares.min() < FEWER * shares.max()
     )
 
 
-@kernel
 def _level(at: Round, c: int) -> float:
     """Noise that decides who is an inlier, pixels: that is a matter of the rig's as well."""
     return float(min(at.sigma_px[c], max(INLIER_PX, INLIER_RIG * at.rig_px[0])))
 
 
-def _aligned(
-    at: Round,
-    rounds: int,
-    settled: bool,
-    cost: float,
-    votes: FloatArray,
-    trust: FloatArray,
-    inliers: IntArray,
-    stacked: Stacked,
-    own: Own,
-) -> Aligned:
+def aligned(at: Round, rounds: int, settled: bool, told: Sequence[Judges], stacked: Stacked, own: Own) -> Aligned:
+    """What all cameras made of a pose: what each says of it, and what those have that are here."""
     cuts = stacked.offsets[1:-1]
+    votes, trust = np.array([t.vote for t in told]), np.array([t.trust for t in told])
+    inliers, total = np.array([t.inliers for t in told], np.int64), max(float(trust.sum()), 1e-12)
     return Aligned(
         at.rotation,
         at.shift,
         at.information,
-        cost / max(float(trust.sum()), 1e-12),
-        float(votes.sum()) / max(float(trust.sum()), 1e-12),
+        sum((t.cost for t in told), 0.0) / total,
+        float(votes.sum()) / total,
         votes / np.maximum(trust, 1e-12),
         settled and int(inliers.sum()) >= MIN_VOTES,
         rounds,
+        np.array([t.matches for t in told], np.int64),
         at.sigma_px,
         at.doubt,
         inliers,
@@ -231,29 +267,28 @@ class _Here:
     stacked: Stacked
 
     @property
-    def matches(self) -> IntArray:
-        return np.diff(self.stacked.offsets)
+    def count(self) -> int:
+        return len(self.stacked.focal)
 
-    def solve(
-        self, schedule: Sequence[float], rotation: FloatArray, shift: FloatArray, doubt: FloatArray, left_out: int = -1
-    ) -> Aligned:
+    def solve(self, jobs: Sequence[Job]) -> list[Aligned]:
         """See `_Cameras`."""
-        own, at = own_of(self.stacked), first_round(rotation, shift, doubt, schedule[0])
-        inliers, votes = np.zeros(len(doubt), np.int64), np.empty(len(doubt))
-        rounds, settled, cost = _rounds(self.stacked, np.array(schedule, float), left_out, at, own, inliers, votes)
-        return _aligned(at, rounds, settled, cost, votes, _trusts(self.stacked), inliers, self.stacked, own)
+        return [self._solved(job) for job in jobs]
+
+    def _solved(self, job: Job) -> Aligned:
+        own, at = own_of(self.stacked), first_round(job.rotation, job.shift, job.doubt, job.schedule[0])
+        rounds, settled = _rounds(self.stacked, np.array(job.schedule, float), job.left_out, at, own)
+        told = [judged(self.stacked, c, at, own, c, c != job.left_out) for c in range(self.count)]
+        return aligned(at, rounds, settled, told, self.stacked, own)
 
 
 @kernel
-def _rounds(
-    stacked: Stacked, schedule: FloatArray, left_out: int, at: Round, own: Own, inliers: IntArray, votes: FloatArray
-) -> tuple[int, bool, float]:
-    """Rounds until they settle, in place; inliers and votes: (C,), filled.
+def _rounds(stacked: Stacked, schedule: FloatArray, left_out: int, at: Round, own: Own) -> tuple[int, bool]:
+    """Rounds until they settle, in place.
 
     Returns:
-        their number; whether they settled; the sum of all costs.
+        their number; whether they settled.
     """
-    n = len(inliers)
+    n = len(at.doubt)
     reduced, mass, level = np.empty((n, 6, 7)), np.empty(n), np.empty(n)
     count, settled, last = 0, False, False
     for count in range(1, MAX_ROUNDS + 2):
@@ -267,63 +302,19 @@ def _rounds(
         last = settled or count == MAX_ROUNDS
         for c in range(n):
             take_step(c, at.step, own)
-    cost = 0.0
-    for c in range(n):
-        part, votes[c], inliers[c] = judge(stacked, c, at.rotation, at.shift, _level(at, c), c != left_out, own)
-        cost += part
-    return min(count, MAX_ROUNDS), settled, cost
+    return min(count, MAX_ROUNDS), settled
 
 
-# --- one camera among others ------------------------------------------------------------------------------------------
-
-
-class OneOfMany:
-    """One camera's side of `align`, with the others elsewhere: all that take part come to the same answer, to the bit.
+def judged(stacked: Stacked, c: int, at: Round, own: Own, number: int, heard: bool) -> Judges:
+    """What one camera says of the pose that was found.
 
     Args:
-        sights: its own.
-        index: its number among all.
-        exchange: with the others.
+        c: which of those here; number: of all.
+        heard: whether it had a say.
     """
-
-    def __init__(self, sights: Sights, index: int, exchange: Exchange) -> None:
-        self._stacked, self._index, self._exchange = stack([sights]), index, exchange
-        self._own = own_of(self._stacked)
-        told = exchange(Has(len(sights.image), float(_trusts(self._stacked)[0])), Has(0, 0.0))
-        self.matches = np.array([t.matches for t in told], np.int64)
-        self._trust = np.array([t.trust for t in told])
-
-    def align(self, rotation: FloatArray, shift: FloatArray, first_px: float = FIRST_PX) -> Aligned:
-        """See `align`; the weights, residuals and surface are this camera's alone."""
-        return _agreed(self, rotation, shift, first_px)
-
-    def solve(
-        self, schedule: Sequence[float], rotation: FloatArray, shift: FloatArray, doubt: FloatArray, left_out: int = -1
-    ) -> Aligned:
-        """See `_Cameras`."""
-        stacked, me, heard = self._stacked, self._index, self._index != left_out
-        own = self._own = own_of(stacked)
-        at, noise = first_round(rotation, shift, doubt, schedule[0]), np.array(schedule, float)
-        count, settled, last = 0, False, False
-        for count in range(1, MAX_ROUNDS + 2):
-            reduced, pose = np.empty((6, 7)), (at.rotation, at.shift)
-            mass = camera_terms(stacked, 0, *pose, float(at.sigma_px[me]), heard, own, reduced)
-            level = noise_of(stacked, 0, own) if measures_noise(count, len(noise)) else np.nan
-            told = self._exchange(Says.of(reduced, mass, level), Says(np.zeros(27), 0.0, np.nan))
-            all_said = np.array([t.reduced for t in told])
-            masses, levels = np.array([t.mass for t in told]), np.array([t.level_px for t in told])
-            stepped, negligible = joint_step(at, all_said, masses, levels, noise, count, last)
-            if not stepped:
-                break
-            settled = negligible
-            last = settled or count == MAX_ROUNDS
-            take_step(0, at.step, own)
-        cost, vote, inliers = judge(stacked, 0, at.rotation, at.shift, _level(at, me), heard, own)
-        judged = self._exchange(Judges(cost, vote, int(inliers)), Judges(0.0, 0.0, 0))
-        agree = np.array([t.inliers for t in judged], np.int64)
-        costs, votes = sum((t.cost for t in judged), 0.0), np.array([t.vote for t in judged])
-        rounds = min(count, MAX_ROUNDS)
-        return _aligned(at, rounds, settled, costs, votes, self._trust, agree, stacked, own)
+    cost, vote, inliers = judge(stacked, c, at.rotation, at.shift, _level(at, number), heard, own)
+    matches = slice(stacked.offsets[c], stacked.offsets[c + 1])
+    return Judges(cost, vote, int(inliers), matches.stop - matches.start, float(stacked.trust[matches].sum()))
 
 
 # --- arrays -----------------------------------------------------------------------------------------------------------
@@ -347,11 +338,6 @@ def stack(sights: Sequence[Sights]) -> Stacked:
         center=np.array([s.center for s in sights], float),
         focal=np.array([s.focal for s in sights], float),
     )
-
-
-def _trusts(stacked: Stacked) -> FloatArray:
-    """(C,) the sums of the cameras' trust."""
-    return np.array([part.sum() for part in np.split(stacked.trust, stacked.offsets[1:-1])])
 
 
 def _basis(image: FloatArray) -> FloatArray:

@@ -10,42 +10,54 @@ does; from then on they take no part. Whom a camera gives up only grows, and who
 agreeing to anything else; so no two cameras that listen to each other end it differently. One camera's word alone excludes
 nobody that the others hear.
 
+Between two rounds, cameras may join: all members have to begin the next one with the same newcomers, each of which is told
+what there is to know. That makes another epoch: what was said in one means nothing in another.
+
 Source: view synchrony, K. Birman, T. Joseph, "Exploiting virtual synchrony in distributed systems" (1987).
 """
 
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from sylpose.network.codec import LARGEST
+from sylpose.network.words import (
+    ENDED,
+    GIVES_UP,
+    MOST_CAMERAS,
+    TELLS,
+    WORKS,
+    Welcome,
+    Word,
+    bits_of,
+    message,
+    passed_on,
+    read_word,
+    welcomed,
+)
 from sylpose.paper.distributed.messages import Inbox, Packet
 
-__all__ = ["HEADER", "Agreeing", "agree_next", "agree_start", "agree_step"]
+__all__ = ["PATIENCE", "Agreeing", "Patience", "agree_next", "agree_start", "agree_step", "silenced"]
 
-# Kind, sender, round: 8 bytes.
-HEADER = struct.Struct("<BxHI")
-# What a camera tells; whom it gives up, and what it has heard of these; and that of a round that it has ended (derived).
-TELLS, GIVES_UP, ENDED = 0, 1, 2
-# Bits of those that leave, and of those that something is passed on of; then the number of bytes of each (derived).
-_LEAVING, _SIZE = struct.Struct("<QQ"), struct.Struct("<I")
-MOST_CAMERAS = 64  # bits (derived)
-# Steps without an outcome after which a camera says again what it has said, and silent ones after which one is given up
-# (choice).
-AGAIN, PATIENCE = 2, 30
-# Steps of a round after which those are given up as well that do not agree on who is (choice).
-LONG = 4 * PATIENCE
+# What makes an epoch (derived).
+_NEW_EPOCH = struct.Struct("<IQ128s128s")
+# Ticks after which a camera says again what it has said, or that it is at work, and of these so many after which a newcomer
+# is welcomed again: that is long (choice).
+AGAIN, TOUR = 2, 5
 
 
-class Word(NamedTuple):
-    """A message: what a camera told, by camera; passed on but where it is its own."""
+class Patience(NamedTuple):
+    """Ticks. silent: after so many without a word of it, a camera is given up; long: those of a round after which it is that
+    has not told what it has to tell, or does not agree on who is given up."""
 
-    kind: int
-    round: int
-    leaving: frozenset[int]
-    told: dict[int, bytes]
+    silent: int
+    long: int
+
+
+PATIENCE = Patience(30, 120)  # (choice)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +66,13 @@ class Agreeing:
 
     Attributes:
         camera: its number. members: who takes part, this one included.
-        round: counts from 0.
+        round: counts from 0; epoch: of its own newcomers.
         own: what it tells in this round.
-        heard: camera -> what it told in this round; early: of those one ahead, in the next one.
-        before, left_before: camera -> what it told in the round before, and who left with that.
-        silent: camera -> steps without a word of it. waited: steps of this round.
+        patience: with the others.
+        welcome: what newcomers have to know, and newcomers: who has not spoken yet of those that joined with this round.
+        heard: camera -> what it told in this round; early: of those one ahead, the epoch and what they told in the next one.
+        before, left_before, epoch_before: camera -> what it told in the round before, who left with that, and its epoch.
+        silent: camera -> ticks without a word of it. waited: ticks of this round.
         giving_up: whom this camera gives up. consent: camera -> whom that one does, and what it has heard of these.
         ends: camera -> the same, with which it has ended this round. ended: so many agree on that, that it is so.
         outcome: camera -> what it told, once the round is over; those that left unheard are missing.
@@ -68,11 +82,16 @@ class Agreeing:
     camera: int
     members: tuple[int, ...]
     round: int
+    epoch: int
     own: bytes
     heard: Mapping[int, bytes]
-    early: Mapping[int, bytes] = field(default_factory=dict)
+    patience: Patience = PATIENCE
+    welcome: bytes = b""
+    newcomers: frozenset[int] = frozenset()
+    early: Mapping[int, tuple[int, bytes]] = field(default_factory=dict)
     before: Mapping[int, bytes] = field(default_factory=dict)
     left_before: frozenset[int] = frozenset()
+    epoch_before: int = 0
     silent: Mapping[int, int] = field(default_factory=dict)
     waited: int = 0
     giving_up: frozenset[int] = frozenset()
@@ -88,82 +107,144 @@ class Agreeing:
         return tuple(c for c in self.members if c != self.camera and c not in self.giving_up)
 
 
-def agree_start(camera: int, members: Sequence[int], own: bytes) -> tuple[Agreeing, list[Packet]]:
-    """A camera, and what it tells in the first round.
+def agree_start(
+    camera: int,
+    members: Sequence[int],
+    own: bytes,
+    *,
+    number: int = 0,
+    epoch: int = 0,
+    patience: Patience = PATIENCE,
+) -> tuple[Agreeing, list[Packet]]:
+    """A camera, and what it tells in its first round.
+
+    Args:
+        number, epoch: of that round, for one that joins others.
 
     Raises:
         ValueError: cameras that are not among 0 to 63, or this one not among them.
     """
     if camera not in members or min(members) < 0 or max(members) >= MOST_CAMERAS:
         raise ValueError(f"camera {camera} of {list(members)}: expected one of some of 0 to {MOST_CAMERAS - 1}")
-    s = Agreeing(camera, tuple(sorted(members)), 0, own, {camera: own})
+    s = Agreeing(camera, tuple(sorted(members)), number, epoch, own, {camera: own}, patience, epoch_before=epoch)
     return _settled(s), _packets(s.others, _tells(s))
 
 
-def agree_next(state: Agreeing, own: bytes) -> tuple[Agreeing, list[Packet]]:
-    """The next round, once there is an outcome."""
+def agree_next(
+    state: Agreeing, own: bytes, newcomers: frozenset[int] = frozenset(), welcome: bytes = b""
+) -> tuple[Agreeing, list[Packet]]:
+    """The next round, once there is an outcome.
+
+    Args:
+        newcomers: who joins with it, the same at all members; welcome: what these have to know.
+    """
     assert state.outcome is not None
-    members = tuple(sorted({*state.others, state.camera}))
+    number, newcomers = state.round + 1, newcomers - {*state.others, state.camera}
+    members = tuple(sorted({*state.others, state.camera, *newcomers}))
+    epoch = state.epoch
+    if newcomers:
+        epoch = zlib.crc32(_NEW_EPOCH.pack(state.epoch, number, bits_of(newcomers), bits_of(frozenset(members))))
+    early = {c: data for c, (of, data) in state.early.items() if c in members and of == epoch}
     s = Agreeing(
         state.camera,
         members,
-        state.round + 1,
+        number,
+        epoch,
         own,
-        {state.camera: own, **{c: data for c, data in state.early.items() if c in members}},
+        {state.camera: own, **early},
+        state.patience,
+        welcome,
+        newcomers,
         before=state.outcome,
         left_before=state.giving_up,
+        epoch_before=state.epoch,
         silent={c: n for c, n in state.silent.items() if c in members},
         refused=state.refused,
     )
-    return _settled(s), _packets(s.others, _tells(s))
+    packets = _packets(tuple(c for c in s.others if c not in newcomers), _tells(s))
+    return _settled(s), packets + _packets(tuple(sorted(newcomers)), _welcomes(s))
 
 
-def agree_step(state: Agreeing, inbox: Inbox) -> tuple[Agreeing, list[Packet]]:
-    """Hear the others; say again what they may have missed, or whom this camera gives up."""
-    s = replace(state, silent={c: state.silent.get(c, 0) + 1 for c in state.others}, waited=state.waited + 1)
+def agree_step(state: Agreeing, inbox: Inbox, *, tick: bool = True) -> tuple[Agreeing, list[Packet]]:
+    """Hear the others; say again what they may have missed, or whom this camera gives up.
+
+    Args:
+        tick: whether time has passed, in which others were silent.
+    """
+    s = state
     out: list[Packet] = []
+    if tick:
+        s = replace(s, silent={c: s.silent.get(c, 0) + 1 for c in s.others}, waited=s.waited + 1)
+    others, silent, heard, early = set(s.others), dict(s.silent), dict(s.heard), dict(s.early)
+    ends, consent, refused, newcomers = dict(s.ends), dict(s.consent), dict(s.refused), set(s.newcomers)
     for sender, data in inbox:
-        if sender not in s.others:
+        if sender not in others:
             continue
         try:
-            word = _read(sender, data)
-            if word.round > s.round + 1:
-                raise ValueError(f"it is {word.round - s.round} rounds ahead")
+            word = read_word(sender, data)
         except ValueError as error:
-            s = replace(s, refused={sender: str(error), **s.refused})
+            refused.setdefault(sender, str(error))
             continue
-        s = replace(s, silent={**s.silent, sender: 0})
-        if word.round == s.round + 1 and word.kind == TELLS:
-            s = replace(s, early={**s.early, sender: word.told[sender]})
-        elif word.round == s.round:
-            if s.outcome is None:
-                s = _heard(s, sender, word)
-            elif word.kind == TELLS:  # again: it has missed this camera's word
-                out += _packets((sender,), _tells(s))
+        ahead = word.round == s.round + 1 and word.kind == TELLS
+        if (word.epoch not in (s.epoch, s.epoch_before) and not ahead) or word.round > s.round + 1:
+            # It is in another group, or has gone on without this camera, which was silent for long: no word for it.
+            continue
+        silent[sender] = 0
+        if word.kind == WORKS:
+            continue
+        if ahead:
+            early[sender] = word.epoch, word.told[sender]
+        elif word.round == s.round and word.epoch == s.epoch:
+            newcomers.discard(sender)
+            if s.outcome is not None:  # it has missed this camera's word, or someone else's
+                out += _packets((sender,), _again(s, word, s.outcome))
+            elif word.kind == TELLS:
+                heard.setdefault(sender, word.told[sender])
             else:
-                out += _packets((sender,), _passes_on(s, ENDED, s.round, s.giving_up, word.leaving, s.outcome))
-        elif word.round == s.round - 1:
-            # It has missed this camera's word, or someone else's.
-            again = _message(TELLS, s.camera, word.round, s.before[s.camera])
-            if word.kind != TELLS:
-                again = _passes_on(s, ENDED, word.round, s.left_before, word.leaving, s.before)
-            out += _packets((sender,), again)
+                (ends if word.kind == ENDED else consent)[sender] = word
+        elif word.round == s.round - 1 and word.epoch == s.epoch_before and s.camera in s.before:
+            out += _packets((sender,), _again(s, word, s.before))
+    s = replace(
+        s,
+        silent=silent,
+        heard=heard,
+        early=early,
+        ends=ends,
+        consent=consent,
+        refused=refused,
+        newcomers=frozenset(newcomers),
+    )
     s = _settled(_impatient(_ended(s)))
-    if s.outcome is None:
-        if s.giving_up and not s.ended:
-            out += _packets(s.others, _passes_on(s, GIVES_UP, s.round, s.giving_up, frozenset(), s.heard))
-        if s.waited % AGAIN == 0:
-            out += _packets(s.others, _tells(s))
-    return s, out
+    return (s, out + _said_again(s)) if tick else (s, out)
 
 
-def _heard(s: Agreeing, sender: int, word: Word) -> Agreeing:
-    """With a word of this round."""
+def silenced(state: Agreeing, camera: int, ticks: int) -> Agreeing:
+    """With a camera silent for so many ticks more: it says elsewhere that it is no member."""
+    return replace(state, silent={**state.silent, camera: state.silent.get(camera, 0) + ticks})
+
+
+def _said_again(s: Agreeing) -> list[Packet]:
+    """What others may have missed."""
+    if s.outcome is not None:
+        works = message(WORKS, s.camera, s.round, s.epoch, b"")
+        return _packets(s.others, works) if s.waited % AGAIN == 0 else []
+    out: list[Packet] = []
+    if s.giving_up and not s.ended:
+        gives_up = passed_on(GIVES_UP, s.camera, s.round, s.epoch, s.giving_up, frozenset(), s.heard)
+        out += _packets(s.others, gives_up)
+    if s.waited % AGAIN == 0:
+        out += _packets(tuple(c for c in s.others if c not in s.newcomers), _tells(s))
+    if s.waited % (AGAIN * TOUR) == 0:
+        out += _packets(tuple(sorted(s.newcomers & {*s.others})), _welcomes(s))
+    return out
+
+
+def _again(s: Agreeing, word: Word, outcome: Mapping[int, bytes]) -> bytes:
+    """An answer to a word of a round that is over."""
     if word.kind == TELLS:
-        return replace(s, heard={**word.told, **s.heard})
-    if word.kind == ENDED:
-        return replace(s, ends={**s.ends, sender: word})
-    return replace(s, consent={**s.consent, sender: word})
+        return message(TELLS, s.camera, word.round, word.epoch, outcome[s.camera])
+    leaving = s.giving_up if word.round == s.round else s.left_before
+    return passed_on(ENDED, s.camera, word.round, word.epoch, leaving, word.leaving, outcome)
 
 
 def _ended(s: Agreeing) -> Agreeing:
@@ -184,7 +265,8 @@ def _impatient(s: Agreeing) -> Agreeing:
     if s.outcome is not None or s.ended:
         return s
     missed = {c for c in s.others if c not in s.heard or (s.giving_up and not _consents(s, c))}
-    return replace(s, giving_up=s.giving_up | {c for c in missed if s.silent.get(c, 0) > PATIENCE or s.waited > LONG})
+    silent, long = s.patience
+    return replace(s, giving_up=s.giving_up | {c for c in missed if s.silent.get(c, 0) > silent or s.waited > long})
 
 
 def _consents(s: Agreeing, camera: int) -> bool:
@@ -207,58 +289,8 @@ def _packets(to: tuple[int, ...], data: bytes) -> list[Packet]:
 
 
 def _tells(s: Agreeing) -> bytes:
-    return _message(TELLS, s.camera, s.round, s.own)
+    return message(TELLS, s.camera, s.round, s.epoch, s.own)
 
 
-def _message(kind: int, camera: int, number: int, content: bytes) -> bytes:
-    return HEADER.pack(kind, camera, number) + content
-
-
-def _passes_on(
-    s: Agreeing, kind: int, number: int, leaving: frozenset[int], missed: frozenset[int], heard: Mapping[int, bytes]
-) -> bytes:
-    """Who leaves with a round, and what was heard in it of these and of some that another camera has missed."""
-    relayed = sorted(c for c in leaving | missed if c in heard)
-    content = _LEAVING.pack(_bits(leaving), _bits(frozenset(relayed)))
-    content += b"".join(_SIZE.pack(len(heard[c])) + heard[c] for c in relayed)
-    return _message(kind, s.camera, number, content)
-
-
-def _bits(cameras: frozenset[int]) -> int:
-    return sum(1 << c for c in cameras)
-
-
-def _of_bits(bits: int) -> frozenset[int]:
-    return frozenset(c for c in range(MOST_CAMERAS) if bits >> c & 1)
-
-
-def _read(sender: int, data: bytes) -> Word:
-    """A message.
-
-    Raises:
-        ValueError: why these bytes are no message of that camera.
-    """
-    if not HEADER.size <= len(data) <= LARGEST + HEADER.size:
-        raise ValueError(f"{len(data)} bytes are no message")
-    kind, author, number = HEADER.unpack_from(data)
-    if author != sender or kind not in (TELLS, GIVES_UP, ENDED):
-        raise ValueError("the header is not this camera's")
-    content = data[HEADER.size :]
-    if kind == TELLS:
-        return Word(kind, number, frozenset(), {sender: content})
-    if len(content) < _LEAVING.size:
-        raise ValueError("it does not say who leaves")
-    leaving, relayed = map(_of_bits, _LEAVING.unpack_from(content))
-    if sender in leaving:
-        raise ValueError("it gives itself up")
-    told, at = {}, _LEAVING.size
-    for c in sorted(relayed):
-        size = _SIZE.unpack_from(content, at)[0] if len(content) >= at + _SIZE.size else LARGEST
-        at += _SIZE.size
-        if len(content) < at + size:
-            raise ValueError("what it passes on is cut off")
-        told[c] = content[at : at + size]
-        at += size
-    if at != len(content):
-        raise ValueError("it passes on more than it announced")
-    return Word(kind, number, leaving, told)
+def _welcomes(s: Agreeing) -> bytes:
+    return welcomed(s.camera, Welcome(s.round, s.epoch, frozenset(s.members), s.welcome))

@@ -1,14 +1,13 @@
 """Records of numbers as bytes, and back: what cameras tell each other (`tracking.records`) on a wire.
 
-MessagePack; a record is its number in `RECORDS` and its fields in order, an array its little-endian numbers, of a table
-after how many columns it has.
+MessagePack; a record is its number in `RECORDS` and its fields in order, an array its numbers in as few bytes as keep
+them all (`network.arrays`).
 What arrives is bounded and checked against the types of the fields before any of it is used, and nothing in it can name a
 function: it is data.
 """
 
 from __future__ import annotations
 
-import struct
 from dataclasses import fields, is_dataclass
 from functools import cache
 from types import NoneType, UnionType
@@ -19,22 +18,42 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.landmarks.alignment import Sights
-from sylpose.landmarks.told import Has, Judges, Says
-from sylpose.tracking.records import Ages, Agreed, Chance, Following, Known, Middle, Moved, Recognised, Stance
-from sylpose.tracking.window import Seen
+from sylpose.landmarks.told import Judges, Says
+from sylpose.network.arrays import array_packed, array_unpacked
+from sylpose.network.roll import Roll
+from sylpose.tracking.anchor import Anchor
+from sylpose.tracking.frame import SolvedFrame
+from sylpose.tracking.handover import Handover, Waited
+from sylpose.tracking.joint import Joint, Nudge
+from sylpose.tracking.object_model import ObjectModel
+from sylpose.tracking.records import (
+    Ages,
+    Agreed,
+    Chance,
+    Following,
+    Known,
+    Middle,
+    Moved,
+    Recognised,
+    Seen,
+    Sighted,
+    Stance,
+)
+from sylpose.tracking.velocity import Velocity
 from sylpose.two_frames.terms import TermData
 
 __all__ = ["LARGEST", "RECORDS", "packed", "unpacked"]
 
 T = TypeVar("T")
 
-# A longer message is refused unread, bytes: the matches of a first motion are the most that is ever sent, 50,000 of them;
-# and tables that have more columns (choice).
-LARGEST, MOST_COLUMNS = 4_000_000, 6
+# A longer message is refused unread, bytes: the matches of a first motion are the most that is ever sent, 50,000 of
+# them (choice).
+LARGEST = 4_000_000
+# No number of a pose comes near it (choice).
+LARGEST_NUMBER = 1e30
 # What may be sent, and the shapes of its arrays, a letter being the same number in all of a record. The order is the wire's:
 # new ones go to the end.
 SHAPES: dict[type[Any], dict[str, tuple[int | str, ...]]] = {
-    Has: {},
     Says: {"upper": (27,)},
     Judges: {},
     Following: {},
@@ -57,13 +76,27 @@ SHAPES: dict[type[Any], dict[str, tuple[int | str, ...]]] = {
         "rotation": (3, 3),
         "center": (3,),
     },
+    Sighted: {
+        "frame": ("n",),
+        "landmark": ("n",),
+        "image": ("n", 2),
+        "known": ("m",),
+        "place": ("m", 3),
+        "moved": ("m",),
+    },
+    Handover: {},
+    Waited: {"times": ("n",), "late": ("n",)},
+    Joint: {"refined": (6, 6)},
+    ObjectModel: {"center": (3,), "points": ("n", 3)},
+    SolvedFrame: {"late": ("n",), "covariance": (6, 6), "viewpoints": ("n", 3), "sees": ("n",)},
+    Anchor: {},
+    Velocity: {"twist": (6,), "unsteady": (6,)},
+    Nudge: {"turn": (3,)},
+    Roll: {},
 }
 RECORDS = tuple(SHAPES)
 # Codes of MessagePack's extension types: records have their number in `RECORDS` (choice).
 _POSE, _ARRAYS = 100, 101
-_DTYPES = {"f": np.dtype("<f8"), "i": np.dtype("<i8")}
-_KINDS = [(kind, dimensions) for kind in _DTYPES for dimensions in (1, 2)]
-_COLUMNS = struct.Struct("<I")
 
 
 def packed(told: object) -> bytes:
@@ -94,13 +127,10 @@ def _plain(value: Any) -> Any:
     if is_dataclass(value) and type(value) in RECORDS:
         content = [_plain(getattr(value, field.name)) for field in fields(value)]
         return msgspec.msgpack.Ext(RECORDS.index(type(value)), msgspec.msgpack.encode(content))
+    if isinstance(value, np.ndarray) and value.dtype.kind == "b":
+        return _plain(value.astype(np.int64))
     if isinstance(value, np.ndarray):
-        kind = (value.dtype.kind, value.ndim)
-        if kind not in _KINDS:
-            raise TypeError(f"an array of {value.ndim} dimensions of {value.dtype} is not sent")
-        columns = _COLUMNS.pack(value.shape[1]) if value.ndim == 2 else b""
-        code = _ARRAYS + _KINDS.index(kind)
-        return msgspec.msgpack.Ext(code, columns + value.astype(_DTYPES[kind[0]]).tobytes())
+        return msgspec.msgpack.Ext(_ARRAYS, array_packed(value))
     if isinstance(value, RigidTransform):
         numbers = np.concatenate([value.rotation.as_quat(), value.translation])
         return msgspec.msgpack.Ext(_POSE, numbers.astype("<f8").tobytes())
@@ -115,11 +145,12 @@ def _plain(value: Any) -> Any:
 
 def _extension(code: int, content: memoryview) -> Any:
     data = bytes(content)
-    if _ARRAYS <= code < _ARRAYS + len(_KINDS):
-        return _array(data, *_KINDS[code - _ARRAYS])
+    if code == _ARRAYS:
+        return array_unpacked(data)
     if code == _POSE:
         numbers = np.frombuffer(data, "<f8") if len(data) == 56 else np.full(7, np.nan)
-        if not np.isfinite(numbers).all() or not np.linalg.norm(numbers[:4]) > 0:
+        # The largest part of a unit quaternion is half at least.
+        if not (np.abs(numbers) < LARGEST_NUMBER).all() or not 0.4 < np.abs(numbers[:4]).max() < 1.1:
             raise ValueError("no pose")
         return RigidTransform.from_components(numbers[4:], Rotation.from_quat(numbers[:4]))
     if not 0 <= code < len(RECORDS):
@@ -134,6 +165,8 @@ def _extension(code: int, content: memoryview) -> Any:
     record = kind(*(_checked(kind, name, hint, v) for (name, hint), v in zip(hints, content_of, strict=True)))
     lengths: dict[str, int] = {}
     for name, shape in SHAPES[kind].items():
+        if getattr(record, name) is None:
+            continue
         got = getattr(record, name).shape
         if len(got) != len(shape) or any(
             n != (lengths.setdefault(wanted, n) if isinstance(wanted, str) else wanted)
@@ -141,18 +174,6 @@ def _extension(code: int, content: memoryview) -> Any:
         ):
             raise ValueError(f"no {kind.__name__}: {name} has the shape {got}")
     return record
-
-
-def _array(data: bytes, kind: str, dimensions: int) -> np.ndarray[Any, Any]:
-    at, columns = 0, 1
-    if dimensions == 2:
-        if len(data) < _COLUMNS.size:
-            raise ValueError("no array: too short")
-        at, columns = _COLUMNS.size, _COLUMNS.unpack_from(data)[0]
-    if (len(data) - at) % 8 or not 0 < columns <= MOST_COLUMNS or (len(data) - at) // 8 % columns:
-        raise ValueError("no array: its shape is not that of its numbers")
-    out = np.frombuffer(data, _DTYPES[kind], offset=at).astype(_DTYPES[kind].newbyteorder("="))
-    return out.reshape(-1, columns) if dimensions == 2 else out
 
 
 @cache
@@ -184,8 +205,10 @@ def _typed(hint: Any, value: Any) -> Any:
         parts = [_typed(get_args(hint)[0], part) for part in value]
         return None if any(part is None for part in parts) else tuple(parts)
     if origin is np.ndarray:
-        whole = issubclass(get_args(get_args(hint)[1])[0], np.integer)
-        return value if isinstance(value, np.ndarray) and (value.dtype.kind == "i") == whole else None
+        kind = np.dtype(get_args(get_args(hint)[1])[0]).kind
+        if not isinstance(value, np.ndarray) or value.dtype.kind != kind.replace("b", "i"):
+            return None
+        return value.astype(bool) if kind == "b" else value
     if hint is float:
         return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
     return value if type(value) is hint else None

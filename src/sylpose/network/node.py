@@ -2,26 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import TypeVar, cast
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Protocol, TypeVar, cast
+
+import numpy as np
 
 from sylpose.frames import Box, FrameSet
-from sylpose.landmarks.alignment import FIRST_PX, Aligned, OneOfMany, Sights
-from sylpose.methods import FEATURES, METHODS
+from sylpose.landmarks.alignment import Sights, Start
+from sylpose.landmarks.one_of_many import OneOfMany
+from sylpose.methods import FEATURES, METHODS, MODES
 from sylpose.network.codec import packed, unpacked
-from sylpose.numerics.arrays import FloatArray
+from sylpose.network.presence import Answer, Ask, Enter, Heard, Tell
+from sylpose.network.roll import ABSENT, NO_FRAME, WAITS, Roll, common, instant_of
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
+from sylpose.tracking.crew import Alignment
+from sylpose.tracking.handover import Handover, check_handover
+from sylpose.tracking.joint import Joint
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracking
 
-__all__ = ["Node", "track_by_node"]
+__all__ = ["Node", "Shots", "track_by_node"]
 
 T = TypeVar("T")
 
-# Tells the others something, and returns what each of those told that take part, this camera included.
-Round = Callable[[bytes], Mapping[int, bytes]]
+NOBODY: frozenset[int] = frozenset()
+
+
+class Shots(Protocol):
+    """One camera's frames; those of all cameras at one instant have the same number."""
+
+    def newest(self, wanted: int) -> tuple[int, float | None]:
+        """Waits for the frame of that number, or a later one.
+
+        Returns:
+            the number of the newest frame there is, and its own time stamp, seconds; `NO_FRAME` where no more come, `WAITS`
+            where it has waited for long.
+        """
+
+    def time_of(self, number: int) -> float | None:
+        """The time stamp of a frame, seconds; None without one."""
+
+    def frame_set(self, number: int, times: Sequence[float | None]) -> FrameSet:
+        """The frames of one instant, as far as this camera has them, with all cameras' time stamps."""
 
 
 class Node:
@@ -29,16 +52,28 @@ class Node:
 
     Args:
         camera: which one, of so many cameras of the rig.
-        tell: one agreed round. What this camera told comes back with the others' words: it goes on with what they heard.
+        ask: of the node's presence among the others (`network.presence`), with the number of frames tracked.
+        mode: of `MODES`: as in one process, or in fewer rounds (`landmarks.one_of_many`), the same at all cameras.
 
     Attributes:
-        camera: as given.
+        camera, cameras: as given.
+        members: who took part in the last round.
         refused: camera -> why its first word of no meaning was taken for nothing.
+        frames: that were tracked.
+        since: index of the first frame since it has entered its group.
     """
 
-    def __init__(self, camera: int, cameras: int, tell: Round) -> None:
-        self.camera, self.cameras, self._tell = camera, cameras, tell
+    def __init__(self, camera: int, cameras: int, ask: Callable[[Ask, int], Answer], mode: str = MODES[0]) -> None:
+        if mode not in MODES:
+            raise ValueError(f"mode {mode!r}: expected {' or '.join(MODES)}")
+        self.camera, self.cameras, self._ask, self._mode = camera, cameras, ask, mode
+        self.members: tuple[int, ...] = ()
         self.refused: dict[int, str] = {}
+        self.frames, self.since = 0, 0
+        self._heard = Heard({}, NOBODY, False)
+        self._joining: tuple[frozenset[int], bytes] = NOBODY, b""
+
+    # --- a crew -------------------------------------------------------------------------------------------------------
 
     def each(self, do: Callable[[int], T], *, long: bool = False) -> list[T]:  # noqa: ARG002
         """See `Crew`."""
@@ -49,16 +84,23 @@ class Node:
         """See `Crew`."""
         return self._told(do(self.camera), nothing)
 
-    def align(
-        self, sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = FIRST_PX
-    ) -> tuple[Aligned, list[tuple[FloatArray, FloatArray]]]:
+    def align(self, sights: Sequence[Sights], starts: Sequence[Start]) -> list[Alignment]:
         """See `Crew`."""
-        found = OneOfMany(sights[self.camera], self.camera, self._told).align(rotation, shift, first_px)
-        return found, self.each(lambda _: (found.weights[0], found.residuals[0]))
+        economical = self._mode == "economical"
+        mine = OneOfMany(sights[self.camera], self.camera, self.cameras, self._told, economical=economical)
+        return [(one, self.each(lambda _, a=one: (a.weights[0], a.residuals[0]))) for one in mine.align(starts)]  # type: ignore[misc]
 
     def _told(self, mine: T, nothing: T, /) -> list[T]:
         heard = self._tell(packed(mine))
         return [self._read(c, heard.get(c), nothing) for c in range(self.cameras)]
+
+    def _tell(self, own: bytes) -> Mapping[int, bytes]:
+        """One agreed round. What this camera told comes back with the others' words: it goes on with what they heard."""
+        heard = self._ask(Tell(own, *self._joining), self.frames)
+        assert isinstance(heard, Heard)
+        self._heard, self._joining = heard, (NOBODY, b"")
+        self.members = tuple(heard.told)
+        return heard.told
 
     def _read(self, camera: int, data: bytes | None, nothing: T) -> T:
         """What a camera told, as far as it means anything."""
@@ -70,31 +112,110 @@ class Node:
             self.refused.setdefault(camera, str(error))
             return nothing
 
+    # --- a member of a group ------------------------------------------------------------------------------------------
+
+    def call(self, newest: int, time: float | None) -> list[Roll]:
+        """The roll of all members."""
+        stamp = np.nan if time is None else time
+        mine = Roll(newest, stamp, tuple(sorted(self._heard.newcomers)), self._heard.outdone)
+        told = self._told(mine, ABSENT)
+        return [told[c] for c in self.members]
+
+    def take_in(self, newcomers: frozenset[int], knows: bytes) -> None:
+        """With the next round others join, and are told what there is to know."""
+        self._joining = newcomers, knows
+
+    def enter(self) -> tuple[Handover, int] | None:
+        """Waits for a group.
+
+        Returns:
+            what all know there, and the number of the next frame; None where this node founds one.
+        """
+        while True:
+            entered = self._ask(Enter(), self.frames)
+            assert not isinstance(entered, Heard)
+            self._heard = Heard({}, entered.newcomers, False)
+            if entered.knows is None:
+                return None
+            try:
+                handover, wanted = unpacked(entered.knows, (Handover(Joint(), (), 0), 0))
+                check_handover(handover, self.cameras)
+            except ValueError:  # others may welcome it, too
+                continue
+            if wanted >= 0:
+                return handover, wanted
+
 
 def track_by_node(
     node: Node,
     rig: Rig,
-    frames: Iterable[FrameSet],
+    shots: Shots,
     boxes: Mapping[str, Box] | None = None,
     *,
+    enters: bool = False,
     method: str = METHODS[0],
     features: str = FEATURES[0],
     offsets: Mapping[str, float] | None = None,
     seed: int = 0,
 ) -> Iterator[TrackedFrame]:
-    """`track`, by one camera that knows its own images alone; of the others' no use is made.
+    """`track`, by one camera that knows its own images alone.
 
     Args:
         node: the camera among all of the rig, each of which calls this with the same other arguments.
-        rig, frames, boxes, method, features, offsets, seed: as `track`.
+        shots: its images.
+        enters: whether it has a group to enter; else it begins in one.
+        rig, boxes, method, features, offsets, seed: as `track`.
+
+    Yields:
+        As `track`, the frames in which it took part.
 
     Raises:
         ValueError: as `track`.
     """
     parts = [cast(CameraPart, CameraPart(c, own) if c == node.camera else None) for c, own in enumerate(rig)]
     tracking = Tracking(rig, parts, node, boxes, method=method, features=features, offsets=offsets, seed=seed)
-    for frame in frames:
-        images = tuple(image if c == node.camera else None for c, image in enumerate(frame.images))
-        masks = tuple(mask if c == node.camera else None for c, mask in enumerate(frame.masks))
-        yield from tracking.step(replace(frame, images=images, masks=masks))
+    wanted, taken_in = 0, -1
+    while True:
+        if enters:
+            entered, enters = node.enter(), False
+            if entered is not None:
+                handover, wanted = entered
+                taken_in = wanted
+                node.since = -1
+                tracking.take_over(handover, new=True)
+        node.frames = tracking.number
+        rolls = node.call(*shots.newest(wanted))
+        if all(roll.outdone for roll in rolls):
+            enters = True
+            continue
+        newcomers = common(rolls)
+        # Once before each frame: somebody who comes again and again, and never takes part, must not keep the others from it.
+        if newcomers and taken_in != wanted:
+            taken_in = wanted
+            knows = packed((tracking.handed_over(), wanted))
+            # All go on with what was sent, in which numbers may be rounded.
+            tracking.take_over(unpacked(knows, (tracking.handed_over(), wanted))[0], new=False)
+            node.take_in(newcomers, knows)
+            continue
+        number = instant_of(rolls)
+        if number == NO_FRAME:
+            break
+        if number == WAITS:
+            continue
+        frames = shots.frame_set(number, _times(node, shots, rolls, number))
+        node.since = node.since if node.since >= 0 else frames.index
+        yield from tracking.step(frames)
+        wanted = number + 1
     yield from tracking.flush()
+
+
+def _times(node: Node, shots: Shots, rolls: Sequence[Roll], number: int) -> tuple[float | None, ...]:
+    """By camera the time stamp of a frame."""
+    by_camera = {c: roll.time for c, roll in zip(node.members, rolls, strict=True)}
+    if any(roll.newest >= 0 and roll.newest != number for roll in rolls):
+        own = shots.time_of(number)
+        told = node.ask(lambda _: np.nan if own is None else own, np.nan)
+        by_camera = {c: told[c] for c in node.members}
+    blind = {c for c, roll in zip(node.members, rolls, strict=True) if roll.newest < 0}
+    times = {c: time for c, time in by_camera.items() if not np.isnan(time) and c not in blind}
+    return tuple(times.get(c) for c in range(node.cameras))

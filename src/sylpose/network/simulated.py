@@ -2,78 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from queue import SimpleQueue
-from threading import Thread
 from typing import Any, NamedTuple
 
 from sylpose.frames import Box, FrameSet
-from sylpose.network.agreed import PATIENCE, Agreeing, agree_next, agree_start, agree_step
-from sylpose.network.node import Node, Round, track_by_node
+from sylpose.methods import MODES
+from sylpose.network.agreed import PATIENCE
+from sylpose.network.node import Node, track_by_node
+from sylpose.network.presence import Answer, Ask, Present, Tell, answer, asked, present_step
+from sylpose.network.roll import NO_FRAME
+from sylpose.network.smoothed import smooth_by_node
+from sylpose.network.talk import Talk
+from sylpose.network.words import Welcome
 from sylpose.numerics.arrays import IntArray
 from sylpose.paper.distributed.messages import Inbox, Packet
 from sylpose.paper.distributed.simulated import UNDISTURBED, Disturbances, run
 from sylpose.rig import Rig
+from sylpose.smoothing.trajectory import Smoothed
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["Outcome", "track_by_nodes"]
 
 # A node that is through answers those that have missed its last word for so many steps more (derived: longer than they
 # wait).
-LINGERS = 2 * PATIENCE
+LINGERS = 2 * PATIENCE.silent
+# Frames that are held where all are at the same one (derived: that and the next).
+HELD = 2
 # Steps of the network, at most (choice: a day of frames).
 MOST_STEPS = 10**7
 
 
-class Talk:
-    """Work that tells others something now and then: it runs in a thread of its own, and stands still while it waits."""
-
-    def __init__(self, work: Callable[[Round], None]) -> None:
-        self._says: SimpleQueue[bytes | BaseException | None] = SimpleQueue()
-        self._hears: SimpleQueue[Mapping[int, bytes] | None] = SimpleQueue()
-        self._thread = Thread(target=self._run, args=(work,), daemon=True)
-        self._thread.start()
-
-    def _run(self, work: Callable[[Round], None]) -> None:
-        try:
-            work(self._tell)
-            self._says.put(None)
-        except BaseException as error:
-            # Raised where the work is waited for.
-            self._says.put(error)
-
-    def _tell(self, own: bytes) -> Mapping[int, bytes]:
-        self._says.put(own)
-        heard = self._hears.get()
-        if heard is None:
-            raise SystemExit
-        return heard
-
-    def says(self) -> bytes | None:
-        """What it tells next; None when it is through."""
-        said = self._says.get()
-        if isinstance(said, BaseException):
-            raise said
-        return said
-
-    def hears(self, told: Mapping[int, bytes]) -> bytes | None:
-        """Goes on with what all have told, up to what it tells next."""
-        self._hears.put(told)
-        return self.says()
-
-    def end(self) -> None:
-        """Ends it where it stands."""
-        self._hears.put(None)
-        self._thread.join()
-
-
 @dataclass(frozen=True, eq=False)
 class NodeState:
-    """A node: its side of the rounds, and its work. `through`: steps since that ended; told: bytes of each round's word."""
+    """A node: its presence, and its work. `through`: steps since that ended; told: bytes of each round's word."""
 
-    agreeing: Agreeing
+    present: Present
     talk: Talk
     through: int = 0
     told: list[int] = field(default_factory=list)
@@ -88,12 +53,13 @@ class Outcome(NamedTuple):
     """What came of a recording.
 
     Attributes:
-        frames: by camera, what it said of each frame: all of them, or those until it died.
+        frames: by camera, what it said of each frame in which it took part.
         members: by camera, who took part in the end for all it knows; empty for one that never began.
         steps: of the network, until all were through.
-        told: by camera, the bytes of what it told in each round, a header of 8 not counted.
+        told: by camera, the bytes of what it told in each round, a header of 12 not counted.
         refused: by camera, whom it did not understand, and why.
         sent, received: (C,) bytes, repetitions included.
+        smoothed: by camera, the refined trajectory, if that was asked for and the node lived.
     """
 
     frames: list[list[TrackedFrame]]
@@ -103,6 +69,52 @@ class Outcome(NamedTuple):
     refused: list[dict[int, str]]
     sent: IntArray
     received: IntArray
+    smoothed: list[Smoothed | None]
+
+
+class Reel:
+    """A recording that is read once, as far as anybody has asked for; so many of its last frames are kept, None for all."""
+
+    def __init__(self, frames: Iterable[FrameSet], kept: int | None = None) -> None:
+        self._frames, self._kept, self._read = iter(frames), kept, 0
+        self._held: dict[int, FrameSet] = {}
+
+    def has(self, number: int) -> bool:
+        """Whether there is such a frame."""
+        while self._read <= number:
+            frame = next(self._frames, None)
+            if frame is None:
+                return False
+            self._held[self._read] = frame
+            self._read += 1
+            if self._kept is not None:
+                self._held.pop(self._read - 1 - self._kept, None)
+        return True
+
+    def __getitem__(self, number: int) -> FrameSet:
+        return self._held[number]
+
+
+class Recorded:
+    """One camera's frames of a recording, as fast as they are asked for."""
+
+    def __init__(self, camera: int, frames: Reel) -> None:
+        self._camera, self._frames = camera, frames
+
+    def newest(self, wanted: int) -> tuple[int, float | None]:
+        """See `Shots`."""
+        return (wanted, self.time_of(wanted)) if self._frames.has(wanted) else (NO_FRAME, None)
+
+    def time_of(self, number: int) -> float | None:
+        """See `Shots`."""
+        return self._frames[number].times[self._camera]
+
+    def frame_set(self, number: int, times: Sequence[float | None]) -> FrameSet:
+        """See `Shots`."""
+        frame, c = self._frames[number], self._camera
+        images = tuple(image if k == c else None for k, image in enumerate(frame.images))
+        masks = tuple(mask if k == c else None for k, mask in enumerate(frame.masks))
+        return replace(frame, times=tuple(times), images=images, masks=masks)
 
 
 def track_by_nodes(
@@ -111,39 +123,56 @@ def track_by_nodes(
     boxes: Mapping[str, Box] | None = None,
     *,
     disturbances: Disturbances = UNDISTURBED,
+    mode: str = MODES[0],
+    smooth: bool = False,
+    on_frame: Callable[[int, TrackedFrame], None] | None = None,
     **options: Any,
 ) -> Outcome:
     """`track`, by cameras each of which sees its own images and hears what the others tell.
 
     Args:
-        disturbances: of the network. Who joins late, or tells nonsense, is not simulated yet.
+        disturbances: of the network. Who tells nonsense is not simulated yet.
+        mode: of the nodes, see `Node`.
+        smooth: refine all poses together after the last frame (`smooth_by_node`).
+        on_frame: called with a camera and each frame as it says it.
         options: as of `track`.
 
     Raises:
         ValueError: as `track`; disturbances that are not simulated.
     """
-    if disturbances.joins or disturbances.nonsense:
-        raise ValueError("disturbances: nodes that join late or tell nonsense are not simulated")
-    recording, n = list(frames), len(rig)
+    if disturbances.nonsense:
+        raise ValueError("disturbances: nodes that tell nonsense are not simulated")
+    n = len(rig)
+    # Undisturbed, one node works at a time, and none is a frame ahead: no more than that is held of a recording.
+    recording = Reel(frames, HELD if disturbances == UNDISTURBED else None)
+    smoothed: list[Smoothed | None] = [None] * n
+    first = [c for c in range(n) if c not in disturbances.joins]
     found: list[list[TrackedFrame]] = [[] for _ in range(n)]
     refused: list[dict[int, str]] = [{} for _ in range(n)]
     talks: list[Talk] = []
+    starts = [0] * n
 
     def start(c: int) -> tuple[NodeState, list[Packet]]:
-        def track(tell: Round) -> None:
-            node = Node(c, n, tell)
-            refused[c] = node.refused
+        starts[c] += 1
+        begins = starts[c] == 1 and c in first
+
+        def track(ask: Callable[[Ask, int], Answer]) -> None:
+            node = Node(c, n, ask, mode)
+            node.refused = refused[c]
+            shots = Recorded(c, recording)
             # As they come: what a node that dies has said by then is kept.
-            for frame in track_by_node(node, rig, recording, boxes, **options):
+            for frame in track_by_node(node, rig, shots, boxes, enters=not begins, **options):
                 found[c].append(frame)
+                if on_frame is not None:
+                    on_frame(c, frame)
+            if smooth:
+                smoothed[c] = smooth_by_node(node, rig, found[c])
 
         talk = Talk(track)
         talks.append(talk)
-        first = talk.says()
-        if first is None:  # there is nothing to talk about
-            return NodeState(agree_start(c, [c], b"")[0], talk, through=LINGERS + 1), []
-        agreeing, packets = agree_start(c, range(n), first)
-        return _gone_on(NodeState(agreeing, talk, told=[len(first)]), packets)
+        group = Welcome(0, 0, frozenset(first), b"") if begins else None
+        present = Present(c, n, incarnation=starts[c], wait=PATIENCE.silent, welcome=group)
+        return _worked(NodeState(present, talk), [])
 
     try:
         outcome = run([partial(start, c) for c in range(n)], _step, disturbances, MOST_STEPS)
@@ -153,27 +182,40 @@ def track_by_nodes(
     states = outcome.states
     return Outcome(
         found,
-        [() if s is None else s.agreeing.members for s in states],
+        [() if s is None else s.present.members for s in states],
         outcome.rounds,
         [[] if s is None else s.told for s in states],
-        [{**mine, **({} if s is None else s.agreeing.refused)} for mine, s in zip(refused, states, strict=True)],
+        [{**mine, **({} if s is None else s.present.all_refused)} for mine, s in zip(refused, states, strict=True)],
         outcome.sent,
         outcome.received,
+        smoothed,
     )
 
 
 def _step(state: NodeState, inbox: Inbox) -> tuple[NodeState, list[Packet]]:
-    agreeing, packets = agree_step(state.agreeing, inbox)
-    return _gone_on(replace(state, agreeing=agreeing, through=state.through + (state.through > 0)), packets)
+    present, packets = present_step(state.present, inbox)
+    state = replace(state, present=present, through=state.through + (state.through > 0))
+    found, answered = answer(present)
+    if answered is None:
+        return state, packets
+    state.talk.hears(answered)
+    return _worked(replace(state, present=found), packets)
 
 
-def _gone_on(s: NodeState, packets: list[Packet]) -> tuple[NodeState, list[Packet]]:
+def _worked(s: NodeState, packets: list[Packet]) -> tuple[NodeState, list[Packet]]:
     """As far as what was heard allows."""
-    while s.agreeing.outcome is not None and not s.through:
-        own = s.talk.hears(s.agreeing.outcome)
-        if own is None:
+    while True:
+        asks = s.talk.asks()
+        if asks is None:
             return replace(s, through=1), packets
-        agreeing, more = agree_next(s.agreeing, own)
-        s.told.append(len(own))
-        s, packets = replace(s, agreeing=agreeing), packets + more
-    return s, packets
+        present, more = asked(s.present, *asks)
+        packets = packets + more
+        if isinstance(asks[0], Tell):
+            s.told.append(len(asks[0].own))
+        if len(present.members) == 1:  # with nobody to wait for, a round is a step as well
+            return replace(s, present=present), packets
+        present, answered = answer(present)
+        s = replace(s, present=present)
+        if answered is None:
+            return s, packets
+        s.talk.hears(answered)

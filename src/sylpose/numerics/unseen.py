@@ -9,12 +9,14 @@ import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
 
-__all__ = ["UNSEEN_SHARE", "UNSEEN_TURN", "about_a_turn", "unseen_directions"]
+__all__ = ["LEAST_TURN", "UNSEEN_SHARE", "UNSEEN_TURN", "about_a_turn", "unseen_directions"]
 
 # A turn less certain than this, in radians, is not seen where there is nothing that it could be compared with (choice).
 UNSEEN_TURN = 0.25
 # A motion, a turn or a distance less certain than this share of itself is not seen: even its sign is in doubt (choice).
 UNSEEN_SHARE = 0.5
+# A turn that is known to this, in radians, is seen, however small it is: a degree (choice).
+LEAST_TURN = float(np.deg2rad(1.0))
 
 
 def unseen_directions(information: FloatArray, limits: FloatArray | float, *, flat: float = 0.0) -> FloatArray:

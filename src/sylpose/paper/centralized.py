@@ -11,7 +11,9 @@ With row-major vec it is K r = h, K = H + L ⊗ I, H = Σ A_c ⊗ B_c, h = vec(�
 global optimum, because cost(R2) - cost(R) = 1/2 (r2 - r)' K (r2 - r) for every other rotation.
 
 The depth of the points is ignored, as in the paper: unbiased only where depth is uncorrelated with the image position,
-and blind to the first order of a turn about the normal of the plane that all viewing directions lie in.
+and blind to the first order of a turn about the normal of the plane that all viewing directions lie in. The certificate is
+of the cost: it does not say that the rotation is right. What surfaces may have done to it is in `information`
+(`paper.surfaces`), and in the status.
 
 Source: C. Chen, D. Schonfeld, "Pose estimation from multiple cameras based on Sylvester's equation", Computer Vision
 and Image Understanding 114 (2010); the derivation is ours.
@@ -27,9 +29,10 @@ from numpy.typing import ArrayLike
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
-from sylpose.numerics.unseen import UNSEEN_TURN, unseen_directions
-from sylpose.paper.orthographic import quadratics_of
+from sylpose.numerics.unseen import LEAST_TURN, UNSEEN_SHARE, UNSEEN_TURN, unseen_directions
+from sylpose.paper.orthographic import Views, quadratics_of
 from sylpose.paper.so3 import FLAT, cost_of, minimize_batch
+from sylpose.paper.surfaces import information_on_surfaces
 from sylpose.results import RotationEstimate, Status
 
 __all__ = [
@@ -42,14 +45,27 @@ __all__ = [
 ]
 
 
-def unseen_turns(information: FloatArray) -> FloatArray:
-    """The unit directions (..., k, 3) of w that are not seen: the standard deviation of the turn exceeds `UNSEEN_TURN`, or
-    the cost is as good as flat (information below a millionth of that about the best seen axis).
+# Of so many cameras: each has four numbers to tell, of an affine map, and two slopes and a scale of its own that are not
+# known; the turn's three are left over from three on (derived).
+DETERMINED = 3
+
+
+def unseen_turns(information: FloatArray, rotation: FloatArray, cameras: int) -> FloatArray:
+    """The unit directions (..., k, 3) of w that are not seen: the standard deviation exceeds half of the turn (and a degree,
+    and in any case `UNSEEN_TURN`), or is more than a thousand times that about the best seen axis: rounding. Of fewer than
+    three cameras at least the one that is seen least.
 
     Args:
         information: (..., 3, 3) of w, 1/rad²; of several, all with the first one's eigenvalues (mirrored solutions).
+        rotation: (3, 3) the turn that was found, the first one's; NaN without any.
+        cameras: how many have matches.
     """
-    return unseen_directions(information, UNSEEN_TURN, flat=FLAT)
+    turn = np.arccos(np.clip((np.trace(np.nan_to_num(rotation)) - 1) / 2, -1, 1))
+    limit = min(max(UNSEEN_SHARE * float(turn), LEAST_TURN), UNSEEN_TURN)
+    unseen = unseen_directions(information, limit, flat=FLAT)
+    if unseen.shape[-2] == 0 and cameras < DETERMINED:
+        unseen = np.linalg.eigh(information)[1][..., :1].swapaxes(-1, -2)
+    return unseen
 
 
 def status_of(converged: bool, certified: bool, unseen: FloatArray) -> Status:
@@ -69,14 +85,17 @@ class CentralizedSolution(RotationEstimate):
     Attributes:
         status: see `status_of`.
         rotation: (3, 3) the first of `candidates`.
-        information: (3, 3) the Hessian of the cost on SO(3) over the residuals' variance (weighted mean square per
-            coordinate; at least 1e-12 of the points' own).
+        information: (3, 3) of noise and of what surfaces may have done (`paper.surfaces`).
+        noise_information: (3, 3) what it would be if depth were known to be uncorrelated with the image: the Hessian of the
+            cost on SO(3) over the residuals' variance (weighted mean square per coordinate; at least 1e-12 of the points'
+            own).
         unseen: (k, 3) `unseen_turns`.
         iterations: Newton steps, on the dual and, where that gave no certificate, on SO(3).
         candidates: (k, 3, 3) rotations: the global optimum when `certified`, else all local minima found, best first
             (a single camera's mirrored pair, for instance). Where a direction is not observable they sample a continuum.
         costs: (k,) half the sum of squared residuals of each, in units in which H has the mean eigenvalue 1.
-        certified: K is positive definite, so that `rotation` is the one global optimum. Never for a single camera.
+        certified: K is positive definite, so that `rotation` is the one global optimum of the cost, however far surfaces
+            have taken that from the truth. Never for a single camera.
         converged: `rotation` is a stationary point of the cost.
         multiplier: (3, 3) L of Sylvester's equation at `rotation`, in the units of `costs`.
     """
@@ -86,6 +105,7 @@ class CentralizedSolution(RotationEstimate):
     certified: bool
     converged: bool
     multiplier: FloatArray
+    noise_information: FloatArray
 
     @property
     def cost(self) -> float:
@@ -95,15 +115,17 @@ class CentralizedSolution(RotationEstimate):
 
 @dataclass(frozen=True, eq=False)
 class CentralizedBatch:
-    """N problems' solutions in arrays: a sequence of `CentralizedSolution`, whose attributes these are.
+    """N problems' solutions in arrays: a sequence of `CentralizedSolution`, whose attributes these are. What else these have
+    (status, information, unseen) is found when one of them is asked for: it takes longer than the solution.
 
     Attributes:
         candidates: (N, k, 3, 3), NaN from each problem's count on.
         counts: (N,) of candidates.
         costs: (N, k), NaN likewise.
         certified, converged: (N,).
-        multiplier, information: (N, 3, 3).
+        multiplier, noise_information: (N, 3, 3).
         iterations: (N,).
+        views: arrays (N, ...): of each camera's views, which the rest follows from.
     """
 
     candidates: FloatArray
@@ -112,8 +134,9 @@ class CentralizedBatch:
     certified: BoolArray
     converged: BoolArray
     multiplier: FloatArray
-    information: FloatArray
+    noise_information: FloatArray
     iterations: IntArray
+    views: tuple[FloatArray, ...]
 
     @property
     def rotations(self) -> FloatArray:
@@ -128,11 +151,14 @@ class CentralizedBatch:
 
     def __getitem__(self, n: int) -> CentralizedSolution:
         k, certified, converged = self.counts[n], bool(self.certified[n]), bool(self.converged[n])
-        unseen = unseen_turns(self.information[n])
+        rotation = self.candidates[n, 0]
+        views = Views(*(a[n] for a in self.views))
+        information = information_on_surfaces(views, rotation)
+        unseen = unseen_turns(information, rotation, int((views.weights > 0).sum()))
         return CentralizedSolution(
             status=status_of(converged, certified, unseen),
-            rotation=self.candidates[n, 0],
-            information=self.information[n],
+            rotation=rotation,
+            information=information,
             unseen=unseen,
             iterations=int(self.iterations[n]),
             candidates=self.candidates[n, :k],
@@ -140,6 +166,7 @@ class CentralizedBatch:
             certified=certified,
             converged=converged,
             multiplier=self.multiplier[n],
+            noise_information=self.noise_information[n],
         )
 
 
@@ -174,7 +201,7 @@ def solve_centralized_batch(rotations: ArrayLike, moments: ArrayLike, *, aim: bo
     Raises:
         ValueError: as `solve_centralized`; moments that are not finite or not symmetric.
     """
-    q = quadratics_of(rotations, moments, aim=aim)
+    q, views = quadratics_of(rotations, moments, aim=aim)
     found = minimize_batch(q.H, q.h)
     best = q.at(found.candidates[:, 0])
     costs = cost_of(q.H[:, None], q.h[:, None], found.candidates) + q.constant[:, None]
@@ -185,6 +212,7 @@ def solve_centralized_batch(rotations: ArrayLike, moments: ArrayLike, *, aim: bo
         certified=found.certified,
         converged=best.stationary,
         multiplier=best.multiplier / q.scale[:, None, None],
-        information=best.information,
+        noise_information=best.information,
         iterations=found.iterations,
+        views=tuple(views),
     )

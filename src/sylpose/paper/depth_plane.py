@@ -37,7 +37,7 @@ from scipy.spatial.transform import Rotation
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.matrices import kron, transpose
-from sylpose.numerics.unseen import UNSEEN_SHARE, unseen_directions
+from sylpose.numerics.unseen import LEAST_TURN, UNSEEN_SHARE, unseen_directions
 from sylpose.paper.depth_plane_kernels import RELIEF, costs, derivatives
 from sylpose.paper.orthographic import ROUNDING, views_of
 from sylpose.results import RotationEstimate, Status
@@ -77,8 +77,6 @@ NEAR = 1e-3
 # A minimum that is less likely by no more than exp(-this) leaves doubt: three standard deviations, 3²/2 (derived). It is a
 # stranger where it is as many away by this one's information.
 RIVAL = 4.5
-# A turn is not observable where it is less certain than half of itself, and than this, in radians: a degree (choice).
-LEAST_LIMIT = float(np.deg2rad(1.0))
 
 _W = slice(0, 3)  # a camera's unknowns: w of R = exp(w) R̂, then its own
 _OWN = 7  # a (2), log s, τ (2), log ζ, log σ
@@ -177,7 +175,7 @@ def solve_depth_plane(
         information = _information(problem, found.R[best : best + 1], found.own[best : best + 1])
         converged, iterations = bool(found.converged[best]), found.iterations
         turn = Rotation.from_matrix(R).magnitude()
-        unseen = unseen_directions(information, max(UNSEEN_SHARE * turn, LEAST_LIMIT))
+        unseen = unseen_directions(information, max(UNSEEN_SHARE * turn, LEAST_TURN))
         if used.sum() < 2 and len(unseen) == 0:
             unseen = np.linalg.eigh(information)[1][:, :1].T
         status = _status(found, best, information, unseen)

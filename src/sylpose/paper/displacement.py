@@ -29,7 +29,13 @@ VARIANCES = 3
 
 
 def translation_from_means(
-    rotations: ArrayLike, centers: ArrayLike, moments: Sequence[PairMoments], rotation: ArrayLike, center: ArrayLike
+    rotations: ArrayLike,
+    centers: ArrayLike,
+    moments: Sequence[PairMoments],
+    rotation: ArrayLike,
+    center: ArrayLike,
+    *,
+    off: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """The displacement d of the object's centre from the means of the cameras' matches, given the rotation.
 
@@ -45,6 +51,7 @@ def translation_from_means(
         moments: C pair moments of normalised points.
         rotation: (3, 3) R of the object's motion, world frame.
         center: (3,) the object's centre g in frame i, world.
+        off: variance of the rotation, rad²: a turn that is larger than it is found to be errs by more.
 
     Returns:
         d: (3,) of least length where a direction is not observable (one camera: along its ray).
@@ -61,7 +68,7 @@ def translation_from_means(
     offset = o + depth[:, None] * np.einsum("cji,cj->ci", Q, x) - g
     # Per camera the two rows [I, -ȳ] Q / Z, over their standard deviation.
     spread = np.array([np.trace(m.s_xx) / m.count for m in used])
-    by_surface = spread * Rotation.from_matrix(R).magnitude() ** 2
+    by_surface = spread * (Rotation.from_matrix(R).magnitude() ** 2 + off)
     weight = 1 / (depth * np.sqrt(variance / np.array([m.count for m in used]) + by_surface))
     rows = weight[:, None, None] * (Q[:, :2] - y[:, :2, None] * Q[:, 2:])
     target = np.einsum("cki,ci->ck", rows, o - g - offset @ R.T).ravel()

@@ -23,8 +23,9 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import checked_rotations, transpose
-from sylpose.paper.centralized import status_of, unseen_turns
-from sylpose.paper.so3 import CERTIFICATE, LEAST, Quadratic, minimize
+from sylpose.numerics.unseen import UNSEEN_TURN, unseen_directions
+from sylpose.paper.centralized import status_of
+from sylpose.paper.so3 import CERTIFICATE, FLAT, LEAST, Quadratic, minimize
 from sylpose.results import RotationEstimate, Status
 
 __all__ = ["KnownDepthSolution", "solve_2d3d", "solve_3d3d"]
@@ -46,7 +47,9 @@ class KnownDepthSolution(RotationEstimate):
         status: OK; NOT_CERTIFIED, the best of all minima found; NOT_CONVERGED; TURN_NOT_OBSERVABLE, something is `unseen`.
         rotation: (3, 3) the first of `candidates`; NaN where no points are spread: then the information is zero, the
             multiplier too.
-        information, unseen: (3, 3) and (k, 3) as in `CentralizedSolution`.
+        information: (3, 3) of w, 1/rad²: the Hessian of the cost on SO(3) over the residuals' variance. Depth is
+            known: there is no bias.
+        unseen: (k, 3) unit directions of w with a standard deviation beyond `UNSEEN_TURN`.
         iterations: of the minimiser; 0 for the closed form.
         candidates: (k, 3, 3) rotations: the global optimum when `certified`, else all local minima found, best first
             (two mirrored ones of a flat object in one camera, for instance); where something is not seen they sample a
@@ -136,7 +139,7 @@ def solve_2d3d(
         ):
             certified, candidates = True, candidates[:1]
     costs = q.cost(candidates) / scale
-    unseen = unseen_turns(best.information)
+    unseen = unseen_directions(best.information, UNSEEN_TURN, flat=FLAT)
     status = status_of(converged, certified, unseen)
     d, of_d = _displacement(PQ, o, sets, R, center, float(q.variance(best.cost)))
     return KnownDepthSolution(
@@ -176,7 +179,7 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
     cost = max(squares - float(np.trace(K)), 0.0)
     variance = max(cost, LEAST * squares) * scale / s.weight * 2 / 3
     information = hessian * scale / variance
-    unseen = unseen_turns(information)
+    unseen = unseen_directions(information, UNSEEN_TURN, flat=FLAT)
     return KnownDepthSolution(
         status=status_of(True, True, unseen),
         rotation=R,

@@ -43,6 +43,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import transpose
 from sylpose.paper.centralized import status_of, unseen_turns
 from sylpose.paper.orthographic import ROUNDING, Views, quadratic_of, views_of
+from sylpose.paper.surfaces import information_on_surfaces
 from sylpose.results import RotationEstimate, Status
 
 __all__ = ["OneCameraSolution", "solve_one_camera", "solve_unconstrained"]
@@ -69,8 +70,10 @@ class OneCameraSolution:
         m: (2,) the rest of its first two rows, with m[0] > 0, or m[0] = 0 and m[1] >= 0.
         multiplier: (2, 2) L of Sylvester's equation in the units of `cost`; zero for the unconstrained estimate.
         cost: half the sum of squared residuals, in units of 2/9 tr S_xx (`Quadratic.scale` of this one camera).
-        information: (2, 3, 3) of w, R = exp(w) rotations[k], world axes, 1/rad²: the Hessian of the cost on SO(3) over
-            the residuals' variance, as in `CentralizedSolution`. It knows nothing of the other, mirrored solution.
+        information: (2, 3, 3) of w, R = exp(w) rotations[k], world axes, 1/rad²: of noise and of what a surface may have
+            done, as in `CentralizedSolution`. It knows nothing of the other, mirrored solution.
+        noise_information: (2, 3, 3) what it would be if depth were known to be uncorrelated with the image: the Hessian of
+            the cost on SO(3) over the residuals' variance.
         unseen: (2, k, 3) for each rotation the unit directions of w, world axes, that are not seen (`unseen_turns`).
         iterations: evaluations of the scalar equation.
     """
@@ -84,6 +87,7 @@ class OneCameraSolution:
     information: FloatArray
     unseen: FloatArray
     iterations: int
+    noise_information: FloatArray
 
     def nearest(self, guess: FloatArray) -> RotationEstimate:
         """Of the two that which is nearer to a guess (3, 3): the camera itself cannot tell."""
@@ -118,8 +122,8 @@ def solve_unconstrained(rotation: ArrayLike, moments: PairMoments, *, aim: bool 
 
     Nearest in the Frobenius norm: the larger singular value becomes 1, the smaller is made 1 where it is more.
     The paper's introduction finds fault with this two-step estimate. Of collinear points, which leave the equation
-    singular, the least N. Off the optimum the Hessian may be negative: such directions count as unseen. Arguments and
-    errors as in `solve_one_camera`.
+    singular, the least N. Off the optimum the Hessian, `noise_information`, may be negative. Arguments and errors as in
+    `solve_one_camera`.
     """
     views = _views(rotation, moments, aim)
     if not _has_spread(views):
@@ -267,18 +271,20 @@ def _solution(views: Views, axes: FloatArray, block: _Block) -> OneCameraSolutio
     m = (-m if m[0] < 0 or (m[0] == 0 and m[1] < 0) else m) + 0.0  # no -0
     rotations = transpose(views.rotation_y) @ np.array([_rotation(N, m), _rotation(N, -m)]) @ views.rotation_x
     q = quadratic_of(views)
-    cost, _, _, information = q.at(rotations)
-    unseen = unseen_turns(information)
+    at = q.at(rotations)
+    information = np.array([information_on_surfaces(views, R) for R in rotations])
+    unseen = unseen_turns(information, rotations[0], 1)
     return OneCameraSolution(
         status=status_of(True, block.proved, unseen[0]),
         rotations=rotations,
         N=N,
         m=m,
         multiplier=4.5 * block.multiplier,
-        cost=float(cost[0] / q.scale),
+        cost=float(at.cost[0] / q.scale),
         information=information,
         unseen=unseen,
         iterations=block.iterations,
+        noise_information=at.information,
     )
 
 
@@ -299,4 +305,5 @@ def _nothing() -> OneCameraSolution:
         information=np.zeros((2, 3, 3)),
         unseen=np.array([np.eye(3)] * 2),
         iterations=0,
+        noise_information=np.zeros((2, 3, 3)),
     )

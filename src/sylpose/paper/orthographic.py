@@ -36,6 +36,8 @@ class Views(NamedTuple):
         s_xx, s_yx, s_yy: (C, 2, 2) Σ w xx', Σ w yx', Σ w yy' about the means. Zero for a camera without matches.
         weights: (C,) Σ w, the number of matches when all weights are 1.
         total: Σ w (|x|² + |y|²) about the origin, over all cameras, to judge what is no more than rounding.
+
+    Of N problems (`quadratics_of`) all have an axis of N before these.
     """
 
     rotation_x: FloatArray
@@ -44,7 +46,7 @@ class Views(NamedTuple):
     s_yx: FloatArray
     s_yy: FloatArray
     weights: FloatArray
-    total: float
+    total: FloatArray
 
     def subset(self, cameras: ArrayLike) -> Views:
         """The cameras that a mask or an index array picks."""
@@ -89,7 +91,7 @@ def views_of(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool 
     """
     Q = checked_rotations(rotations, len(moments))
     M = np.array([m.matrix for m in moments])
-    return Views(*_second_moments(Q, M, aim), float(_squares(M)))
+    return Views(*_second_moments(Q, M, aim), _squares(M))
 
 
 def quadratic_of(views: Views) -> Quadratic:
@@ -99,7 +101,7 @@ def quadratic_of(views: Views) -> Quadratic:
         ValueError: no camera has matches with any spread.
     """
     q = Quadratic.of_terms(*terms_of(views))
-    _check_spread(q.scale[None], np.array([views.total]))
+    _check_spread(q.scale[None], views.total[None])
     return q
 
 
@@ -111,8 +113,8 @@ def terms_of(views: Views) -> Terms:
     return _terms(*views[:6])
 
 
-def quadratics_of(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True) -> Quadratic:
-    """`quadratic_of` the `views_of` N problems of C cameras each; each problem's numbers depend on that problem alone.
+def quadratics_of(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True) -> tuple[Quadratic, Views]:
+    """`quadratic_of` the `views_of` N problems of C cameras each, and these; each problem's numbers depend on it alone.
 
     Args:
         rotations: (N, C, 3, 3), or (C, 3, 3) where all problems have the same cameras.
@@ -132,9 +134,10 @@ def quadratics_of(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True)
         Q = checked_rotations(Q.reshape(-1, *Q.shape[2:]), n * c).reshape(n, c, 3, 3)
     else:
         Q = checked_rotations(Q, c)
-    q = Quadratic.of_terms(*_terms(*_second_moments(Q, M, aim)))
-    _check_spread(q.scale, _squares(M))
-    return q
+    views = Views(*_second_moments(Q, M, aim), _squares(M))
+    q = Quadratic.of_terms(*_terms(*views[:6]))
+    _check_spread(q.scale, views.total)
+    return q, views
 
 
 # The moments are centred and summed here, all cameras at once, for the sake of thousands of them. Axes before the

@@ -23,6 +23,7 @@ from sylpose.results import FramePose, Observable, Status
 from sylpose.rig import Rig
 from sylpose.tracking.far_frames import another_path
 from sylpose.tracking.joint import Nudge
+from sylpose.tracking.records import placed
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
 
 __all__ = ["Smoothed", "Track", "smooth"]
@@ -127,6 +128,7 @@ def smooth(
     if len(used) < 2:
         return Smoothed(tuple(poses), Status.TOO_FEW_MATCHES, nothing, nothing, np.full(len(rig), np.nan), 0)
     seen, places = _observations([frames[k] for k in used])
+    places = placed(places, frames[used[-1]].radius)  # nodes tell each other no more
     late, wider, camera = np.array([frames[k].late for k in used]), rig, seen.camera
     moves: tuple[Moved, ...] = ()
     if doubt is not None:

@@ -6,12 +6,15 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol, TypeVar
 
-from sylpose.landmarks.alignment import FIRST_PX, Aligned, Sights, align
+from sylpose.landmarks.alignment import Aligned, Sights, Start, align
 from sylpose.numerics.arrays import FloatArray
 
-__all__ = ["Crew", "OneProcess"]
+__all__ = ["Alignment", "Crew", "OneProcess"]
 
 T = TypeVar("T")
+
+# A pose; by camera, each its own, (weights, residuals) of its sights.
+Alignment = tuple[Aligned, list[tuple[FloatArray, FloatArray]]]
 
 
 class Crew(Protocol):
@@ -41,16 +44,11 @@ class Crew(Protocol):
             by camera, in the rig's order, the same everywhere.
         """
 
-    def align(
-        self, sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = FIRST_PX
-    ) -> tuple[Aligned, list[tuple[FloatArray, FloatArray]]]:
-        """The pose that all cameras' sights agree on best (`landmarks.alignment`).
+    def align(self, sights: Sequence[Sights], starts: Sequence[Start]) -> list[Alignment]:
+        """From each start the pose that all cameras' sights agree on best (`landmarks.alignment`).
 
         Args:
             sights: by camera, each its own.
-
-        Returns:
-            the pose; by camera, each its own, (weights, residuals) of its sights.
         """
 
 
@@ -80,9 +78,7 @@ class OneProcess:
         """See `Crew`."""
         return [do(c) for c in self._cameras]
 
-    def align(
-        self, sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = FIRST_PX
-    ) -> tuple[Aligned, list[tuple[FloatArray, FloatArray]]]:
+    def align(self, sights: Sequence[Sights], starts: Sequence[Start]) -> list[Alignment]:
         """See `Crew`."""
-        aligned = align(sights, rotation, shift, first_px)
-        return aligned, list(zip(aligned.weights, aligned.residuals, strict=True))
+        found = [align(sights, *start) for start in starts]
+        return [(one, list(zip(one.weights, one.residuals, strict=True))) for one in found]

@@ -228,7 +228,7 @@ def solved_from(
             break
         # The cameras' instants were accounted for with the speed of the frame before; now this frame's is known, and
         # after the first motion also the first frame's.
-        if base is joint.keyframes[0] and len(joint.keyframes) == 1:
+        if base.number == joint.keyframes[0].number and len(joint.keyframes) == 1:
             first = _first_relearnt(team, joint, velocity.rig_seen_at_once(team.rig, base.late, center, speed, elapsed))
             pairs = _with_first(crew, pairs, base.number, first)
     agreement = solution.agreement

@@ -31,7 +31,7 @@ from sylpose.tracking.sights import (
     with_trust,
 )
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
-from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
+from sylpose.two_frames.paper_methods import ESTIMATORS, UNBIASED, paper_fit
 from sylpose.two_frames.solver import fit_terms
 from sylpose.two_frames.terms import TermData
 from sylpose.two_frames.verdict import more_than_chance
@@ -110,6 +110,7 @@ class Solution:
         agreement: by camera, each its own.
         doubt: (C,) 1, or more for cameras that disagree with the others, see `Aligned`.
         faults: a sentence for each camera that is recognised to be at fault.
+        biased: by the object's surface, so that the error goes on as the turn does.
     """
 
     status: Status
@@ -120,6 +121,7 @@ class Solution:
     agreement: Sequence[Agreement]
     doubt: FloatArray
     faults: tuple[str, ...] = ()
+    biased: bool = False
 
 
 Solver = Callable[[Crew, Problem], Solution]
@@ -187,7 +189,7 @@ def solve_paper(method: str, crew: Crew, problem: Problem) -> Solution:
             next(mine) if pair.reference == base else no for pair, no in zip(problem.pairs[c], nothing, strict=True)
         ]
 
-    return _solution(problem, fit, crew.each(of))
+    return replace(_solution(problem, fit, crew.each(of)), biased=method not in UNBIASED)
 
 
 def solve_landmarks(crew: Crew, problem: Problem) -> Solution:
@@ -213,7 +215,7 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights], Floa
     guessed = max(a.oldest for a in ages) <= YOUNG or _depth_sd(ages) > GUESSED * problem.radius
     # Where depths are guesses, so is what explains them, and the prediction.
     first = (FIRST_PX,) if guessed else (FIRST_PX, NARROW_PX[-1])
-    ways = [crew.align(sights, *problem.guess, first_px=px) for px in first]
+    ways = crew.align(sights, [(*problem.guess, px) for px in first])
     best, off = chosen([way for way, _ in ways], *problem.guess)
     pose, found = ways[best]
     # While all depths are guesses, a turn the other way with the depths reversed explains nearly as much (the mirrored
@@ -224,11 +226,10 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights], Floa
         other = fit_terms(data, problem.center, problem.radius, [problem.guess], problem.rng())
         starts = [(other.rotation, other.shift, px) for px in OTHER_START_PX if other.status is Status.OK]
         starts += [(*problem.guess, px) for px in NARROW_PX if px not in first] if jumps else []
-        tried = [crew.align(sights, R, shift, first_px=px) for R, shift, px in starts] + (ways[1:] if jumps else [])
+        tried = crew.align(sights, starts) + (ways[1:] if jumps else [])
         # By epipolar distances alone: what is guessed of depths has no say in whether it is right.
-        support = _support(crew, sights, found)
-        for again, found_again in tried:
-            more = _support(crew, sights, found_again)
+        support, *others = _support(crew, sights, [found, *(found_again for _, found_again in tried)])
+        for (again, found_again), more in zip(tried, others, strict=True):
             if more > support:
                 pose, found, support, off = again, found_again, more, np.zeros(6)
     chances = crew.ask(
@@ -243,9 +244,12 @@ def _aligned(crew: Crew, problem: Problem) -> tuple[Solution, list[Sights], Floa
     return solution, sights, off
 
 
-def _support(crew: Crew, sights: Sequence[Sights], found: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """`support_of` all cameras."""
-    return sum(crew.ask(lambda c: support_of(sights[c], *found[c]), 0.0))
+def _support(
+    crew: Crew, sights: Sequence[Sights], found: Sequence[Sequence[tuple[FloatArray, FloatArray]]]
+) -> list[float]:
+    """`support_of` all cameras, of several alignments."""
+    told = crew.ask(lambda c: tuple(support_of(sights[c], *of[c]) for of in found), (0.0,) * len(found))
+    return [sum(of_one) for of_one in zip(*told, strict=True)]
 
 
 def _depth_sd(ages: Sequence[Ages]) -> float:

@@ -18,7 +18,7 @@ from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.keyframes import with_keyframe
 from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.records import Agreed
+from sylpose.tracking.records import Agreed, Seen
 from sylpose.tracking.velocity import Velocity
 
 __all__ = ["MIN_MOVED", "Joint", "Nudge", "covariance_with_references"]
@@ -76,6 +76,8 @@ class Joint:
         nudges: of cameras, in order of time.
         refined: (6, 6) of (w, d), how well the last frame was known that was refined with others: the next ones are known no
             better, since they are found by the same landmarks. None before any was.
+        told: by camera, what it has told of the frames that are known; nothing before the first refinement, and where it is
+            forgotten, by all, it is told again.
     """
 
     object: ObjectModel = field(default_factory=ObjectModel)
@@ -93,6 +95,7 @@ class Joint:
     only_still: bool = False
     nudges: tuple[Nudge, ...] = ()
     refined: FloatArray | None = None
+    told: tuple[Seen, ...] = ()
 
     @property
     def base(self) -> SolvedFrame:
@@ -210,6 +213,7 @@ class Joint:
             last=first,
             recent=(),
             refined=None,
+            told=(),
             anchor=Anchor(first, self.anchor.age) if kept and self.anchor is not None else None,
         )
 
@@ -220,6 +224,7 @@ def covariance_with_references(
     agreed: Sequence[Agreed],
     known: Mapping[int, SolvedFrame],
     radius: float,
+    alike: float = 0.0,
 ) -> FloatArray:
     """(6, 6) of (w, d), a frame's covariance plus the references' own.
 
@@ -231,6 +236,7 @@ def covariance_with_references(
         now: world_from_object.
         agreed: by camera.
         radius: of the object.
+        alike: the correlation of the frame's own error with the references', each along the axes of its covariance.
     """
     shares: dict[int, float] = {}
     for a in agreed:
@@ -244,4 +250,16 @@ def covariance_with_references(
         inherited += weight / total * (both @ known[number].covariance @ both.T)
     # What cannot be observed is bounded: no motion by half a turn or by the object's size is matched.
     bound = np.repeat([np.pi**-2, radius**-2], 3)
-    return covariance_of(information + np.diag(bound)) + inherited
+    own = covariance_of(information + np.diag(bound))
+    if not alike:
+        return own + inherited
+    unit = np.repeat([1.0, 1.0 / radius], 3)
+    roots = [_root(unit[:, None] * covariance * unit) for covariance in (own, inherited)]
+    both = alike * roots[0] @ roots[1] / np.outer(unit, unit)
+    return own + inherited + both + both.T
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Of a symmetric matrix, symmetric."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)

@@ -19,7 +19,7 @@ from sylpose.tracking.find import Found, on_the_move
 from sylpose.tracking.frame import Frame, Pair, SolvedFrame, learn_only, triangulate
 from sylpose.tracking.joint import Joint, covariance_with_references
 from sylpose.tracking.keyframes import viewpoints
-from sylpose.tracking.records import total_ages
+from sylpose.tracking.records import placed, total_ages
 from sylpose.tracking.sights import usual_age
 from sylpose.tracking.start import FirstMotion, agree, first_motion
 from sylpose.tracking.team import Region, Team
@@ -98,7 +98,8 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     stood = solution.status is Status.NO_MOTION  # the pose is the base's, and so is its error
     covariance = base.covariance if proven else joint.keyframes[0].covariance
     if not stood:
-        covariance = covariance_with_references(solution.information, pose, found.agreed, known, radius)
+        alike = _goes_on(joint, found) if solution.biased else 0.0
+        covariance = covariance_with_references(solution.information, pose, found.agreed, known, radius, alike)
         if joint.refined is not None and not joint.missed:
             covariance = at_least(covariance, joint.refined)
     if not proven:
@@ -131,7 +132,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     seen = crew.each(seen_again)
     model = joint.object
     if not model.bounded:
-        for surface in crew.ask(lambda c: seen[c].surface, np.empty((0, 3))):
+        for surface in crew.ask(lambda c: placed(seen[c].surface, radius), np.empty((0, 3))):
             model = model.with_points(surface, team.seed)
     status = FrameStatus.RELOCALISED if joint.missed else FrameStatus.TRACKED
     after = replace(joint, object=model).accepted(solved, found.motion, anew=found.anew, agreed=found.agreed)
@@ -139,7 +140,8 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     begins = found.anew and team.follows and status is FrameStatus.TRACKED
     if begins:
         # Right after the first frame, what is new in the boxes is not followed: nobody knows yet what it is.
-        after = replace(after, anchor=Anchor(solved, few=joint.object.bounded and base is joint.keyframes[0]))
+        after_first = base.number == joint.keyframes[0].number
+        after = replace(after, anchor=Anchor(solved, few=joint.object.bounded and after_first))
     kept = set(after.known)
 
     def learn(c: int) -> tuple[tuple[FloatArray, FloatArray] | None, Sightings]:
@@ -175,10 +177,8 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         solution.faults,
     )
     matches, seen_now = crew.each(lambda c: learnt[c][0]), crew.each(lambda c: learnt[c][1])
-    if team.refines:  # the paper's estimators are there to be compared: how they drift is to be seen
-        result = result.judged()
     return replace(after, last=last), TrackedFrame(
-        result, frames, tuple(matches), tuple(found.regions), model.radius, tuple(seen_now), frame.late
+        result.judged(), frames, tuple(matches), tuple(found.regions), model.radius, tuple(seen_now), frame.late
     )
 
 
@@ -188,6 +188,17 @@ def _unnoticed(team: Team, pose: RigidTransform, radius: float) -> FloatArray:
     away = np.array([camera.camera_from_world.apply(pose.translation)[2] / camera.focal for camera in team.rig])
     shift = STILL_PX * float(np.median(np.abs(away)))
     return np.diag(np.repeat([(shift / radius) ** 2, shift**2], 3))
+
+
+def _goes_on(joint: Joint, found: Found) -> float:
+    """The cosine of the angle between the axes of the turn so far and of the one that was found; 0 where it turns back.
+
+    What a surface does to a turn is in proportion to it: as long as the object turns on, errors add up.
+    """
+    so_far = (joint.base.world_from_object.rotation * joint.keyframes[0].world_from_object.rotation.inv()).as_rotvec()
+    step = found.motion.rotation.as_rotvec()
+    lengths = float(np.linalg.norm(so_far) * np.linalg.norm(step))
+    return max(0.0, float(so_far @ step) / lengths) if lengths > 0 else 0.0
 
 
 def _doubt(found: Found) -> FloatArray:
@@ -294,7 +305,9 @@ def _with_surface(
         return replace(joint, first_motion=found.motion), None
     if not joint.object.guessed:
         return joint, found
-    points = np.concatenate(crew.ask(lambda c: triangulated(team, c, found.inliers[c], before, now), np.empty((0, 3))))
+    points = np.concatenate(
+        crew.ask(lambda c: placed(triangulated(team, c, found.inliers[c], before, now), found.radius), np.empty((0, 3)))
+    )
     if len(points) < MIN_POINTS:
         return joint, found
     joint = joint.relearnt(found.radius)

@@ -34,6 +34,7 @@ from sylpose.tracking.learn import accept_first, accepted, first_points, not_fou
 from sylpose.tracking.middle import middle_stands, still_ones
 from sylpose.tracking.nudges import steadied, with_nudges
 from sylpose.tracking.object_model import ObjectModel
+from sylpose.tracking.records import placed
 from sylpose.tracking.start import FirstMotion, agree, first_motion, is_ambiguous, jitter_of
 from sylpose.tracking.team import MAX_GROWTH, REGION_GROWTH, Region, Team, features_of, regions_of, split
 from sylpose.tracking.thorough import is_doubtful, searched
@@ -307,7 +308,9 @@ def _begun(
     now = found.motion * before
     # Where another motion says as much, how deep the surface is depends on which of them it is.
     model = ObjectModel(found.middle, found.radius, guessed=found.fit.other is not None)
-    points = crew.ask(lambda c: first_points(team, c, found.inliers[c], before, now), np.empty((0, 3)))
+    points = crew.ask(
+        lambda c: placed(first_points(team, c, found.inliers[c], before, now), found.radius), np.empty((0, 3))
+    )
     joint = Joint(model.with_points(np.concatenate(points), team.seed))
     regions = regions_of(team, joint, before)
 

@@ -6,15 +6,40 @@ same (docs/map.md, "Two halves").
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from sylpose.landmarks.alignment import Sights
-from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.two_frames.terms import TermData
 
-__all__ = ["Ages", "Agreed", "Chance", "Following", "Known", "Middle", "Moved", "Recognised", "Stance", "total_ages"]
+__all__ = [
+    "Ages",
+    "Agreed",
+    "Chance",
+    "Following",
+    "Known",
+    "Middle",
+    "Moved",
+    "Recognised",
+    "Seen",
+    "Sighted",
+    "Stance",
+    "placed",
+    "total_ages",
+]
+
+
+# Places that need not be known well are told to this share of the object's radius, at least (choice).
+PLACED = 1.0 / 256.0
+
+
+def placed(points: FloatArray, radius: float) -> FloatArray:
+    """Points (n, 3) about where they are, on an object of some radius: rounded, for few bytes."""
+    grid = 2.0 ** np.floor(np.log2(PLACED * radius))
+    return np.asarray(np.round(points / grid) * grid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +217,65 @@ class Recognised:
     def none(cls) -> Recognised:
         """Of a camera that sees nothing."""
         return cls(np.empty((0, 3)), np.empty((0, 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What one camera saw in several frames, and did not tell before; together with that, what all remember of it.
+
+    Attributes:
+        frame: (n,) numbers of frames; landmark: (n,) numbers of its landmarks; image: (n, 2) normalised points.
+        known: (m,) in order, the numbers of those that are to be used now; place: (m, 3) about where each is on the object.
+    """
+
+    frame: IntArray
+    landmark: IntArray
+    image: FloatArray
+    known: IntArray
+    place: FloatArray
+
+    @classmethod
+    def none(cls) -> Seen:
+        """Of a camera that sees nothing."""
+        no = np.empty(0, np.int64)
+        return cls(no, no, np.empty((0, 2)), no, np.empty((0, 3)))
+
+    def of(self, frames: Sequence[int], landmarks: IntArray | None = None) -> Seen:
+        """What was seen in some frames, of some landmarks: sights alone."""
+        kept = np.isin(self.frame, frames)
+        kept &= True if landmarks is None else np.isin(self.landmark, landmarks)
+        return replace(Seen.none(), frame=self.frame[kept], landmark=self.landmark[kept], image=self.image[kept])
+
+    def among(self, later: Seen) -> Seen:
+        """With what was told later: sights alone, in order of frames and landmarks."""
+        frame, landmark = np.concatenate([self.frame, later.frame]), np.concatenate([self.landmark, later.landmark])
+        order = np.lexsort([landmark, frame])
+        image = np.concatenate([self.image, later.image])[order]
+        return replace(Seen.none(), frame=frame[order], landmark=landmark[order], image=image)
+
+
+@dataclass(frozen=True, eq=False)
+class Sighted:
+    """All that one camera saw in some frames: what refining them together needs.
+
+    Attributes:
+        frame: (n,) which of these frames; landmark: (n,) which of the landmarks; image: (n, 2) normalised points.
+        known: (m,) the landmarks' numbers, in order; place: (m, 3) about where each is on the object; moved: (m,) 1 for
+            those that are known to have moved with it, or 0.
+    """
+
+    frame: IntArray
+    landmark: IntArray
+    image: FloatArray
+    known: IntArray
+    place: FloatArray
+    moved: IntArray
+
+    @classmethod
+    def none(cls) -> Sighted:
+        """Of a camera that sees nothing."""
+        no = np.empty(0, np.int64)
+        return cls(no, no, np.empty((0, 2)), no, np.empty((0, 3)), no)
 
 
 @dataclass(frozen=True, eq=False)

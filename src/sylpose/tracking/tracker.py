@@ -13,6 +13,7 @@ from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.crew import Crew, OneProcess
 from sylpose.tracking.frame_solvers import SOLVERS
+from sylpose.tracking.handover import Handover, handed_over, taken_over
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.nudges import with_nudges
 from sylpose.tracking.object_model import ObjectModel
@@ -83,7 +84,7 @@ class Tracking:
         self._team = Team(rig, parts, crew, SOLVERS[method], follows, late, seed, method == METHODS[0])
         self._joint = Joint(ObjectModel.in_boxes(rig, boxes) if boxes else ObjectModel())
         self._waiting: Sequence[Waiting] = []
-        self._number = 0  # of the next frame
+        self.number = 0  # of the next frame
 
     def step(self, frames: FrameSet) -> list[TrackedFrame]:
         """Take in the next frame.
@@ -92,9 +93,18 @@ class Tracking:
             The frames that are now decided, in order: usually this one; none while the object has not moved yet and no
             boxes tell where it is, then those that waited for it and this one.
         """
-        number, self._number = self._number, self._number + 1
+        number, self.number = self.number, self.number + 1
         self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, number, frames)
         return decided
+
+    def handed_over(self) -> Handover:
+        """What a camera has to know that is to take part from the next frame on."""
+        return handed_over(self._joint, self._waiting, self.number)
+
+    def take_over(self, handover: Handover, *, new: bool) -> None:
+        """Go on from there, where the cameras here are `new` as if they had seen nothing so far."""
+        team, mine = self._team, None if new else self._waiting
+        self._joint, self._waiting, self.number = taken_over(handover, team.crew, team.parts, mine)
 
     def flush(self) -> list[TrackedFrame]:
         """The frames still undecided at the recording's end: the object moved little, or never."""

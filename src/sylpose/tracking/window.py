@@ -9,7 +9,7 @@ found against them is as good.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -22,9 +22,10 @@ from sylpose.tracking.far_frames import another_path
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import viewpoints
+from sylpose.tracking.records import Seen, placed
 from sylpose.tracking.team import Team
 
-__all__ = ["Seen", "at_least", "is_due", "refined"]
+__all__ = ["at_least", "is_due", "refined"]
 
 # Frames that are refined together at most, the first one and the last among them (choice).
 MOST = 32
@@ -41,29 +42,8 @@ FEWEST, LEAST = 2, 9
 MAX_TURN, MAX_SHIFT = 0.1, 0.3
 # Rounds of the solver: it starts near the answer (choice).
 ROUNDS = 12
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """What one camera saw in several frames.
-
-    Attributes:
-        frame: (n,) which of them, from 0; landmark: (n,) numbers of its landmarks, each seen in two frames at least.
-        image: (n, 2) normalised points.
-        known: (m,) the numbers in order; place: (m, 3) where each is on the object by now.
-    """
-
-    frame: IntArray
-    landmark: IntArray
-    image: FloatArray
-    known: IntArray
-    place: FloatArray
-
-    @classmethod
-    def none(cls) -> Seen:
-        """Of a camera that sees nothing."""
-        no = np.empty(0, np.int64)
-        return cls(no, no, np.empty((0, 2)), no, np.empty((0, 3)))
+# Landmarks have smaller numbers (derived).
+LANDMARK_NUMBERS = 2**32
 
 
 def is_due(joint: Joint) -> bool:
@@ -80,8 +60,12 @@ def refined(team: Team, joint: Joint) -> Joint:
     if len(frames) < FEWEST:
         return joint
     numbers = [frame.number for frame in frames]
-    told = team.crew.ask(lambda c: _seen(team, c, numbers), Seen.none())
-    found = _bundled(team, joint, frames, told)
+    before = joint.told or (Seen.none(),) * len(team.rig)
+    new = team.crew.ask(lambda c: _news(team, joint, c, numbers, before[c]), Seen.none())
+    told = [seen.among(after) for seen, after in zip(before, new, strict=True)]
+    joint = replace(joint, told=tuple(seen.of(sorted(joint.known)) for seen in told))
+    used = [seen.of(numbers, after.known) for seen, after in zip(told, new, strict=True)]
+    found = _bundled(team, joint, frames, used, new)
     if found is None:
         return joint
     bundled, names = found
@@ -114,7 +98,7 @@ def refined(team: Team, joint: Joint) -> Joint:
     def learn(c: int) -> None:
         mine = names == c
         if mine.any():
-            team.parts[c].table.place(told[c].known, bundled.landmarks[mine])
+            team.parts[c].table.place(new[c].known, bundled.landmarks[mine])
 
     team.crew.each(learn)
     return replace(joint.moved(moved), refined=bundled.covariance[at] if bundled.tied[at] else None)
@@ -162,41 +146,53 @@ def _chosen(joint: Joint) -> list[SolvedFrame]:
     return [chosen[number] for number in sorted(chosen)]
 
 
-def _seen(team: Team, c: int, numbers: Sequence[int]) -> Seen:
-    """What a camera saw in frames with these numbers."""
+def _news(team: Team, joint: Joint, c: int, numbers: Sequence[int], before: Seen) -> Seen:
+    """Which landmarks a camera wants used of what it saw in frames with these numbers, and what of that it has not told
+    before."""
     part = team.parts[c]
     frames = [part.frames[number] for number in numbers]
-    index = np.repeat(np.arange(len(frames)), [len(frame.numbers) for frame in frames])
+    frame = np.repeat(np.asarray(numbers, np.int64), [len(frame.numbers) for frame in frames])
     landmark = np.concatenate([np.empty(0, np.int64), *(frame.numbers for frame in frames)])
     image = np.concatenate([np.empty((0, 2)), *(frame.features.normalized for frame in frames)])
     # A landmark that two features of a frame were taken for says nothing there.
-    own = index * (int(landmark.max(initial=0)) + 1) + landmark
-    _, first, count = np.unique(own, return_index=True, return_counts=True)
-    single = np.sort(first[count == 1])
-    index, landmark, image = index[single], landmark[single], image[single]
-    known, inverse, sights = np.unique(landmark, return_inverse=True, return_counts=True)
+    sight, first, count = np.unique(_sights(frame, landmark), return_index=True, return_counts=True)
+    sight, first = sight[count == 1], first[count == 1]
+    known, inverse, sights = np.unique(landmark[first], return_inverse=True, return_counts=True)
     # Once the object has moved, what never did may be background, which a path with less of a turn explains as well.
     moved = part.table.of(known).moved
     trusted = moved if np.count_nonzero(moved) >= MANY else np.ones(len(known), bool)
-    good = np.flatnonzero((sights > 1) & trusted)
+    # Of one that was taken for others since, or they for it, not all that was told is so any more.
+    old = before.of(numbers)
+    wrong = old.landmark[~np.isin(_sights(old.frame, old.landmark), sight)]
+    good = np.flatnonzero((sights > 1) & trusted & ~np.isin(known, wrong))
     good = np.sort(good[np.argsort(-sights[good], kind="stable")[:LANDMARKS]])
-    used = np.isin(inverse, good)
-    known = known[good]
-    return Seen(index[used], landmark[used], image[used], known, part.table.of(known).mean)
+    untold = first[np.isin(inverse, good) & ~np.isin(sight, _sights(old.frame, old.landmark))]
+    # Where to start from need not be known well.
+    place = placed(part.table.of(known[good]).mean, joint.object.radius)
+    return Seen(frame[untold], landmark[untold], image[untold], known[good], place)
+
+
+def _sights(frame: IntArray, landmark: IntArray) -> IntArray:
+    """(n,) a number for each, of frames (n,) and landmarks (n,)."""
+    return frame * LANDMARK_NUMBERS + landmark
 
 
 def _bundled(
-    team: Team, joint: Joint, frames: Sequence[SolvedFrame], told: Sequence[Seen]
+    team: Team, joint: Joint, frames: Sequence[SolvedFrame], told: Sequence[Seen], new: Sequence[Seen]
 ) -> tuple[Bundled, IntArray] | None:
-    """The frames refined together, and (m,) whose landmarks they are; None where that says nothing."""
+    """The frames refined together, and (m,) whose landmarks they are; None where that says nothing.
+
+    Args:
+        told: by camera, what is used; new: which landmarks, and where they are.
+    """
     cameras = np.repeat(np.arange(len(told)), [len(seen.frame) for seen in told])
-    names = np.repeat(np.arange(len(told)), [len(seen.known) for seen in told])
-    starts = np.cumsum([0, *(len(seen.known) for seen in told)])
-    landmark = [starts[c] + np.searchsorted(seen.known, seen.landmark) for c, seen in enumerate(told)]
+    names = np.repeat(np.arange(len(told)), [len(seen.known) for seen in new])
+    starts = np.cumsum([0, *(len(seen.known) for seen in new)])
+    landmark = [starts[c] + np.searchsorted(new[c].known, seen.landmark) for c, seen in enumerate(told)]
     if not len(names):
         return None
     observations = Observations(
-        np.concatenate([seen.frame for seen in told]),
+        np.searchsorted([frame.number for frame in frames], np.concatenate([seen.frame for seen in told])),
         cameras,
         np.concatenate(landmark).astype(np.int64),
         np.concatenate([seen.image for seen in told]),
@@ -209,7 +205,7 @@ def _bundled(
         poses,
         joint.object.radius,
         other=another_path(team.rig, observations, poses, joint.object.radius),
-        landmarks=np.concatenate([seen.place for seen in told]),
+        landmarks=np.concatenate([seen.place for seen in new]),
         times=times,
         max_rounds=ROUNDS,
     )

@@ -25,7 +25,7 @@ from sylpose.results import RotationEstimate, Status
 from sylpose.two_frames.fit import Fit
 from sylpose.two_frames.terms import TermData
 
-__all__ = ["ESTIMATORS", "paper_fit"]
+__all__ = ["ESTIMATORS", "UNBIASED", "paper_fit"]
 
 Moments = Sequence[PairMoments]
 
@@ -97,20 +97,21 @@ def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatA
     try:
         turn = ESTIMATORS[method](Q, moments, robust.rotation)
         centers = np.array([data[i].center for i in seen])
-        shift, of_shift = translation_from_means(Q, centers, moments, turn.rotation, center)
+        off = 0.0 if method in UNBIASED else min(float(np.trace(turn.covariance)), np.pi**2)
+        shift, of_shift = translation_from_means(Q, centers, moments, turn.rotation, center, off=off)
         known, believed = np.zeros((6, 6)), np.zeros((6, 6))
         if method in UNBIASED:
             believed[3:, 3:] = of_shift
             shift, known = translation_from_moments(Q, centers, moments, turn.rotation, center, shift, of_shift)
+            known[:3, :3] += _seen(turn)
         else:
-            known[3:, 3:] = of_shift
+            known[:3, :3], known[3:, 3:] = turn.information, of_shift
     except ValueError:
         # No spread in any camera, or an object behind one: nothing to estimate a turn from.
         return replace(robust, status=Status.TURN_NOT_OBSERVABLE, faults=faults)
-    known[:3, :3] += _seen(turn)
     return replace(
         robust,
-        # What of the turn is not seen, `verdict.observed` says: the information knows nothing of it.
+        # What of the turn is not seen, `verdict.observed` says: the information knows little or nothing of it.
         status=Status.OK if turn.status is Status.TURN_NOT_OBSERVABLE else turn.status,
         rotation=turn.rotation,
         shift=shift,
@@ -123,8 +124,5 @@ def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatA
 
 def _seen(turn: RotationEstimate) -> FloatArray:
     """(3, 3) the information of the turn, without the directions that the estimator says it has not seen."""
-    values, vectors = np.linalg.eigh(turn.information)
-    # Off an optimum (the unconstrained estimate) a Hessian may be negative.
-    values = np.maximum(values, 0.0)
     seen = np.eye(3) - turn.unseen.T @ turn.unseen
-    return np.asarray(seen @ (vectors * values) @ vectors.T @ seen)
+    return np.asarray(seen @ turn.information @ seen)

@@ -1,4 +1,5 @@
-"""What a camera knows of a rotation, and how it says it: one quadratic cost on SO(3), in 56 numbers."""
+"""What a camera knows of a rotation, and how it says it: one quadratic cost on SO(3), in 56 numbers; at one rotation, what
+surfaces may have done to it, in 80."""
 
 from __future__ import annotations
 
@@ -9,12 +10,15 @@ from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import symmetric_of, upper_of
 from sylpose.paper.orthographic import quadratic_of, views_of
-from sylpose.paper.so3 import Quadratic
+from sylpose.paper.so3 import LEAST, Quadratic
+from sylpose.paper.surfaces import LEANING, Sums
 
-__all__ = ["EVIDENCE", "evidence_of", "packed", "unpacked"]
+__all__ = ["EVIDENCE", "SURFACES", "evidence_of", "noise_of", "packed", "packed_sums", "unpacked", "unpacked_sums"]
 
 # Numbers of one: H's upper triangle, h, constant and weight (derived).
 EVIDENCE = 45 + 9 + 2
+# Of `surfaces.Sums`: B, own and scales, shape, fits and doubts (derived).
+SURFACES = 3 * 6 + 18 + len(LEANING) * (10 + 1)
 
 
 def evidence_of(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> Quadratic:
@@ -38,3 +42,22 @@ def packed(evidence: Quadratic) -> FloatArray:
 def unpacked(values: FloatArray) -> Quadratic:
     """The inverse of `packed`."""
     return Quadratic(symmetric_of(values[:45]), values[45:54], values[54], values[55])
+
+
+def noise_of(cost: float, size: float, weight: float) -> float:
+    """`Quadratic.variance` over `Quadratic.size`: what `surfaces.sums_of` is told."""
+    return max(cost / size, LEAST) / weight
+
+
+def packed_sums(sums: Sums, noise: float) -> FloatArray:
+    """(80,) as sent, none much larger than 1, and as they add up; `noise` as of `sums_of`."""
+    squares = [upper_of(matrix) for matrix in sums[:3]]
+    fits = [noise * upper_of(fit) for fit in sums.fits]
+    return np.concatenate([*squares, sums.shape.ravel(), *fits, sums.doubts])
+
+
+def unpacked_sums(values: FloatArray, noise: float) -> Sums:
+    """The inverse of `packed_sums`."""
+    turns, own, scales = (symmetric_of(part) for part in values[:18].reshape(3, 6))
+    fits = np.array([symmetric_of(part) for part in values[36 : -len(LEANING)].reshape(-1, 10)]) / noise
+    return Sums(turns, own, scales, values[18:36].reshape(3, 6), fits, values[-len(LEANING) :])

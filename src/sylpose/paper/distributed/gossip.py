@@ -2,7 +2,10 @@
 
 What the centralised equation needs is a sum over the cameras, H and h; and it may as well be their mean. The cameras
 agree on the mean of their evidence (56 numbers, 456 bytes with the header, per neighbour and round) and each solves
-by itself. Average consensus as ADMM on the edges of the graph: for each neighbour j a camera i keeps z_ij and
+by itself. Once they are nearly still, each knows the rotation, and they agree as well on the mean of what surfaces may have
+done to it (`paper.surfaces`; 81 numbers more), for the covariance that the centralised estimator has.
+
+Average consensus as ADMM on the edges of the graph: for each neighbour j a camera i keeps z_ij and
 
     x_i = (a_i + Σ_j z_ij) / (1 + ρ d_i)          a_i its own evidence, d_i the number of its neighbours
     sends to j   q_ij = 2 ρ x_i - z_ij            and takes   z_ij <- 0.2 z_ij + 0.8 q_ji
@@ -36,23 +39,41 @@ from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.affine_votes import AffineFits, affine_fits
 from sylpose.paper.bad_cameras import TRUSTED, doubt_of
-from sylpose.paper.distributed.evidence import EVIDENCE, evidence_of, packed, unpacked
+from sylpose.paper.distributed.evidence import (
+    EVIDENCE,
+    SURFACES,
+    evidence_of,
+    noise_of,
+    packed,
+    packed_sums,
+    unpacked,
+    unpacked_sums,
+)
 from sylpose.paper.distributed.keeping_step import PATIENCE
 from sylpose.paper.distributed.messages import Inbox, Message, Packet, encode, newest, read
 from sylpose.paper.distributed.passing_on import PASSED, Passing, begun, passed_on, passing_packets
 from sylpose.paper.distributed.verdict import UNKNOWN, Verdict
-from sylpose.paper.orthographic import views_of
-from sylpose.paper.so3 import minimize
+from sylpose.paper.orthographic import Views, views_of
+from sylpose.paper.so3 import Quadratic, minimize
+from sylpose.paper.surfaces import information_of, sums_of
 
 __all__ = ["GossipState", "gossip_start", "gossip_step"]
 
 
+# What is agreed on in the end: evidence, surfaces, and the weight of those who have told of theirs (derived).
+ALL = EVIDENCE + SURFACES + 1
 RELAXATION = 0.8  # share of the news in z: below 1 for lost and late messages (choice)
 STILL = 1e-12  # change, relative to x, that is none: well above rounding's 1e-16 (choice)
 # Rotations are as good as the best up to this much more cost: each camera has another mean, by rounding. Of mirrored ones
 # all take that with the largest sum of entries, weighted by numbers that no mirror leaves alike
 # (choice: well above rounding's 1e-16).
 EQUAL = 1e-10
+# Surfaces are told of when the evidence changes by less than `NEAR`, and again where it is not the `SAME` any more; both
+# relative. They count `LESS` than the evidence when it is asked whether anything changes: a covariance need not be known to
+# 1e-12 (choice).
+NEAR, SAME, LESS = 1e-4, 1e-10, 1e-4
+# All have told of surfaces where the weights of these, and of all, are the same to this share (choice).
+ALL_TOLD = 1e-6
 _ORDER = np.sqrt([2.0, 3, 5, 7, 11, 13, 17, 19, 23]).reshape(3, 3)
 
 
@@ -60,7 +81,7 @@ class Edge(NamedTuple):
     """What a camera knows of a neighbour.
 
     Attributes:
-        z: (56,) see above.
+        z: (137,) see above.
         still: the neighbour has seen no change for as long as news take to go everywhere.
         round: of its newest message. silent: rounds without one.
     """
@@ -76,11 +97,13 @@ class GossipState:
     """One camera of `gossip`.
 
     Attributes:
-        camera_rotation, moments: (3, 3) Q and what it saw: shown when somebody calls for it. fits: its affine image.
+        camera_rotation, moments: (3, 3) Q and what it saw: shown when somebody calls for it. views: the same as it is used;
+            fits: its affine image.
         neighbours: those that it may hear. edges: those that it does hear.
         n_cameras: of the network. diameter: links between those farthest apart.
-        own, mean: (56,) its evidence, and what it takes for the mean of all: H (45 numbers, upper triangle), h, constant
-            and weight.
+        own, mean: (137,) what it has to say, and what it takes for the mean of all: H (45 numbers, upper triangle), h,
+            constant and weight; what surfaces may have done, 0 until it is told: 80 numbers and the weight again.
+        told: (56,) the mean of the evidence when it last told that.
         quiet: how often all neighbours were heard (but those that are still themselves) since the mean or any z changed.
         waiting: those not yet heard again.
         clean: no message of a neighbour was missed so far.
@@ -96,6 +119,7 @@ class GossipState:
     camera_rotation: FloatArray
     moments: PairMoments
     aim: bool
+    views: Views
     fits: AffineFits
     camera: int
     neighbours: tuple[int, ...]
@@ -106,6 +130,7 @@ class GossipState:
     bound: int
     mean: FloatArray
     edges: dict[int, Edge] = field(default_factory=dict)
+    told: FloatArray = field(default_factory=lambda: np.zeros(EVIDENCE))
     quiet: int = 0
     waiting: frozenset[int] = frozenset()
     clean: bool = True
@@ -147,11 +172,12 @@ def gossip_start(
     values = np.linalg.eigvalsh(laplacian)
     penalty = 1.5 / float(np.sqrt(values[1] * values[-1])) if n_cameras > 1 else 1.0
     Q = np.array(rotation, dtype=float)
-    own = packed(evidence_of(Q, moments, aim=aim))
-    fits = affine_fits(views_of(Q[None], [moments], aim=aim))
+    own = np.concatenate([packed(evidence_of(Q, moments, aim=aim)), np.zeros(ALL - EVIDENCE)])
+    views = views_of(Q[None], [moments], aim=aim)
+    fits = affine_fits(views)
     neighbours = tuple(int(c) for c in np.flatnonzero(laplacian[camera] < 0))
     diameter = int(distance.max())
-    s = GossipState(Q, moments, aim, fits, camera, neighbours, n_cameras, diameter, penalty, own, bound, own)
+    s = GossipState(Q, moments, aim, views, fits, camera, neighbours, n_cameras, diameter, penalty, own, bound, own)
     return _called(s) if doubt_of(fits) > TRUSTED else (s, _packets(s))
 
 
@@ -159,7 +185,7 @@ def gossip_step(state: GossipState, inbox: Inbox) -> tuple[GossipState, list[Pac
     """Hear the neighbours, mend the mean, say what it is; solve when all is still. Or pass on evidence, once called for."""
     s = replace(state, round=state.round + 1)
     inbox = [(c, data) for c, data in inbox if c in s.neighbours]
-    messages, refused = read(inbox, (EVIDENCE, PASSED), s.refused)
+    messages, refused = read(inbox, (EVIDENCE, ALL, PASSED), s.refused)
     s = replace(s, refused=refused)
     if s.passing is not None:
         return _passed(s, s.passing, messages, {c for c, _ in inbox})
@@ -171,8 +197,8 @@ def gossip_step(state: GossipState, inbox: Inbox) -> tuple[GossipState, list[Pac
     for c in sorted({*s.edges, *news}):
         old, message = s.edges.get(c), news.get(c)
         if message is not None:
-            z = np.zeros(EVIDENCE) if old is None else old.z
-            step = RELAXATION * (message.values - z)
+            z = np.zeros(ALL) if old is None else old.z
+            step = RELAXATION * (np.pad(message.values, (0, ALL - message.values.size)) - z)
             edges[c] = Edge(z + step, message.final, message.round, 0)
             change = max(change, float(np.linalg.norm(step)) / (2 * s.penalty))
         elif old is not None and (old.silent < PATIENCE or old.still):
@@ -186,12 +212,15 @@ def gossip_step(state: GossipState, inbox: Inbox) -> tuple[GossipState, list[Pac
         quiet, waiting = s.quiet, s.waiting - news.keys() - {c for c, e in edges.items() if e.still}
         if not waiting:
             quiet, waiting = quiet + 1, frozenset(edges)
-    converged = quiet > s.diameter and all(e.still for e in edges.values())
+    all_told = abs(mean[-1] - mean[EVIDENCE - 1]) <= ALL_TOLD * mean[EVIDENCE - 1]
+    converged = all_told and quiet > s.diameter and all(e.still for e in edges.values())
     clean = s.clean and (news.keys() == edges.keys() == set(s.neighbours) or s.round == 1)
     lingered = s.lingered + 1 if converged else 0
     just_quiet = quiet > 0 and s.quiet == 0
     s = replace(s, mean=mean, edges=edges, quiet=quiet, waiting=waiting, clean=clean, lingered=lingered)
-    if just_quiet and (found := _solved(s)).rotation is not None and doubt_of(s.fits, found.rotation) > TRUSTED:
+    if change < NEAR * np.linalg.norm(mean):
+        s = _telling(s)
+    if just_quiet and (found := _rotation(_evidence(s))) is not None and doubt_of(s.fits, found) > TRUSTED:
         return _called(s)
     done = _over(s, lingered)
     return replace(s, verdict=_solved(s) if done else UNKNOWN, done=done), _packets(s)
@@ -224,23 +253,56 @@ def _passed(
 def _packets(s: GossipState) -> list[Packet]:
     out = []
     for c in s.neighbours:
-        z = s.edges[c].z if c in s.edges else np.zeros(EVIDENCE)
-        message = Message(s.round, s.clean, s.quiet > s.diameter, 2 * s.penalty * s.mean - z)
+        z = s.edges[c].z if c in s.edges else np.zeros(ALL)
+        values = 2 * s.penalty * s.mean - z
+        values = values if values[EVIDENCE:].any() else values[:EVIDENCE]
+        message = Message(s.round, s.clean, s.quiet > s.diameter, values)
         out.append(Packet((c,), encode(s.camera, message)))
     return out
 
 
-def _solved(s: GossipState) -> Verdict:
-    """What the mean says."""
-    evidence = unpacked(s.n_cameras * s.mean)
+def _evidence(s: GossipState) -> Quadratic:
+    """Of all cameras."""
+    return unpacked(s.n_cameras * s.mean[:EVIDENCE])
+
+
+def _rotation(evidence: Quadratic) -> FloatArray | None:
+    """(3, 3) what it says; None where nobody has evidence."""
     if not (evidence.scale > 0 and evidence.weight > 0):
-        return UNKNOWN
+        return None
     candidates = minimize(evidence.H, evidence.h)[0]
     costs = evidence.cost(candidates) / evidence.scale
     best = candidates[costs < costs.min() + EQUAL]
-    rotation = best[np.argmax((_ORDER * best).sum(axis=(1, 2)))]
+    return np.asarray(best[np.argmax((_ORDER * best).sum(axis=(1, 2)))])
+
+
+def _solved(s: GossipState) -> Verdict:
+    """What the mean says."""
+    evidence = _evidence(s)
+    rotation = _rotation(evidence)
     weights = dict.fromkeys([s.camera, *s.edges], 1.0)
-    return Verdict(rotation, evidence.at(rotation).information, s.lingered > 0, weights=weights)
+    if rotation is None or not s.lingered:
+        return Verdict(rotation, weights=weights)
+    noise = _noise(evidence, rotation)
+    surfaces = s.n_cameras * s.mean[EVIDENCE:-1] / (LESS * np.linalg.norm(s.mean[:EVIDENCE]))
+    return Verdict(rotation, information_of(unpacked_sums(surfaces, noise), noise), True, weights=weights)
+
+
+def _telling(s: GossipState) -> GossipState:
+    """Tells what surfaces may have done to the rotation, unless it has."""
+    mean, own, surfaces = s.mean[:EVIDENCE], s.own[:EVIDENCE], np.zeros(SURFACES)
+    size = float(np.linalg.norm(mean))
+    if np.linalg.norm(mean - s.told) <= SAME * size:
+        return s
+    evidence = _evidence(s)
+    if own[-1] > 0 and (rotation := _rotation(evidence)) is not None:
+        noise = _noise(evidence, rotation)
+        surfaces = packed_sums(sums_of(s.views, rotation, float(evidence.size), noise), noise)
+    return replace(s, own=np.concatenate([own, LESS * size * surfaces, own[-1:]]), told=mean)
+
+
+def _noise(evidence: Quadratic, rotation: FloatArray) -> float:
+    return noise_of(float(evidence.cost(rotation)), float(evidence.size), float(evidence.weight))
 
 
 def _laplacian(n: int, graph: Iterable[tuple[int, int]]) -> FloatArray:

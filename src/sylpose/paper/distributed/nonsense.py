@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.distributed.messages import HEADER
+from sylpose.paper.distributed.refine import SIZES
 from sylpose.paper.distributed.showing import SHOW
 
 __all__ = ["Nonsense", "garbled"]
@@ -58,7 +59,7 @@ def _false(values: FloatArray, number: int, rng: np.random.Generator, *, junk: b
         x = 0.1 * rng.normal(size=(60, 3))
         y = 0.1 * rng.normal(size=(60, 2)) if junk else turn.apply(x)[:, :2]
         values[:45] = np.frombuffer(PairMoments.from_matches(x[:, :2], y).to_bytes(), "<f8")
-    elif len(values) in (9, 22, 27) and number != SHOW + 1:
+    elif len(values) in SIZES and number != SHOW + 1:
         values[:9] = np.linalg.norm(values[:9]) / np.sqrt(3) * turn.as_matrix().ravel()
     else:
         values = np.linalg.norm(values) / np.sqrt(len(values)) * rng.normal(size=len(values))

@@ -19,7 +19,10 @@ All keep step (`keeping_step`). Each then knows how all V changed in the last st
 alike: 25 to 35 steps instead of 50 and, for views near one plane, of a thousand. Where all have settled at a saddle, or the
 extrapolation has led astray, they leap (`leaping`): 72 and 40 bytes more.
 
-When all have settled each says how well the common rotation suits it: whether its own matches allow it (`doubt_of`). Who
+When all have settled each says once what surfaces may have done to the common rotation (`paper.surfaces`), so that all know
+the covariance that the centralised estimator has: 640 bytes more.
+
+And each says how well the common rotation suits it: whether its own matches allow it (`doubt_of`). Who
 doubts, or finds that another has not come to the same rotation, that a camera has died or come late, or that there is no
 end, calls for the evidence: all show their moments, and each has the verdict on them (`showing`). So only rotations are
 revealed as long as nobody doubts, and bad cameras and liars are found by what they show. Nor is the scheme secret: about
@@ -32,7 +35,7 @@ is ours.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -47,15 +50,16 @@ from sylpose.paper.affine_votes import AffineFits, affine_fits
 from sylpose.paper.bad_cameras import TRUSTED, doubt_of
 from sylpose.paper.distributed import leaping
 from sylpose.paper.distributed.anderson import History, extended, extrapolated
-from sylpose.paper.distributed.evidence import evidence_of
+from sylpose.paper.distributed.evidence import SURFACES, evidence_of, noise_of, packed_sums, unpacked_sums
 from sylpose.paper.distributed.keeping_step import Link, heard, packets, said
 from sylpose.paper.distributed.messages import Inbox, Message, Packet
 from sylpose.paper.distributed.showing import AGREED, SHOW, agreeing, answered, concluded, shown_by
 from sylpose.paper.distributed.verdict import UNKNOWN, Verdict
 from sylpose.paper.equation import solve_generalized_sylvester
 from sylpose.paper.one_camera import solve_one_camera
-from sylpose.paper.orthographic import terms_of, views_of
-from sylpose.paper.so3 import FLAT, LEAST, Quadratic, derivatives
+from sylpose.paper.orthographic import Views, terms_of, views_of
+from sylpose.paper.so3 import FLAT, Quadratic, derivatives
+from sylpose.paper.surfaces import information_of, sums_of
 
 __all__ = ["RefineState", "refine_start", "refine_step"]
 
@@ -71,8 +75,9 @@ LONG = 150
 # nearer by (choice).
 HUGE = 1e5
 
-# V, 9 numbers; a report, 13 more; a curve, 5 more (derived).
-SIZES = (9, 22, 27)
+# V, 9 numbers; a report, 13 more; a curve, 5 more, or what is said of surfaces (derived).
+REPORT, CURVE = 13, 5
+SIZES = (9, 9 + REPORT, 9 + REPORT + CURVE, 9 + REPORT + SURFACES)
 
 
 class Member(NamedTuple):
@@ -82,7 +87,7 @@ class Member(NamedTuple):
         V: (3, 3) as it enters the mean.
         change: relative change by the last message.
         report: in its newest message, if it has settled or is to leap: of its evidence at its Z the Hessian (6), cost, size
-            and weight; how much it doubts; Z as a rotation vector; then the five numbers of a curve. Else empty.
+            and weight; how much it doubts; Z as a rotation vector; then the numbers of a curve, or of surfaces. Else empty.
     """
 
     V: FloatArray
@@ -95,7 +100,8 @@ class RefineState:
     """One camera of `refine`.
 
     Attributes:
-        camera_rotation, moments: (3, 3) Q and what it saw: shown when somebody calls for it. fits: its affine image.
+        camera_rotation, moments: (3, 3) Q and what it saw: shown when somebody calls for it. views: the same as it is used;
+            fits: its affine image.
         evidence, penalty, gain: its H_c, h_c; p_c; p_c times the solutions of A_c R B_c + p_c R = E_k, columns of (9, 9).
         link: what it has said and heard. Message n of all is what step n is made with.
         members: the cameras that take part.
@@ -112,6 +118,7 @@ class RefineState:
     camera_rotation: FloatArray
     moments: PairMoments
     aim: bool
+    views: Views
     fits: AffineFits
     evidence: Quadratic
     penalty: float
@@ -173,7 +180,7 @@ def refine_start(
         solved = solve_generalized_sylvester([A[0], penalty * np.eye(3)], [B[0], np.eye(3)], right_sides)
         gain, V = penalty * solved.reshape(9, 9).T, penalty * own
     link = Link(camera, tuple(c for c in others if c != camera), Message(0, True, False, V.ravel()))
-    s = RefineState(Q, moments, aim, affine_fits(views), e, penalty, gain, bound, link)
+    s = RefineState(Q, moments, aim, views, affine_fits(views), e, penalty, gain, bound, link)
     if doubt_of(s.fits) > TRUSTED:
         s = _called(s)
     return s, packets(s.link)
@@ -264,18 +271,22 @@ def _refined(s: RefineState) -> RefineState:
             apart = np.linalg.norm(others - Z, axis=(1, 2)).max()
             if apart > AGREED or max(r[9] for r in reports.values()) > TRUSTED:
                 return _called(s)
-        if settled and curvature[0] > -FLAT * curvature[2] and weight > 0:
-            information = hessian * (weight / max(cost, LEAST * size))
-            verdict = Verdict(Z, information, True, weights=dict.fromkeys(s.members, 1.0))
+        if settled and curvature[0] > -FLAT * curvature[2] and min(size, weight) > 0:
+            noise = noise_of(cost, size, weight)
+            told = _last_parts(s, reports)
+            if all(values.size == SURFACES for values in told):
+                information = information_of(unpacked_sums(np.sum(told, axis=0), noise), noise)
+                verdict = Verdict(Z, information, True, weights=dict.fromkeys(s.members, 1.0))
+            else:
+                own = np.concatenate([own, packed_sums(sums_of(s.views, Z, size, noise), noise)])
         elif s.leaps < leaping.LEAPS:
             line = (axes[:, 0], Z)
             own = np.concatenate([own, leaping.curve_of(s.evidence, *line)])
-            leap = s.line is not None and all(r.size > 13 for c, r in reports.items() if c != s.camera)
+            leap = s.line is not None and all(values.size == CURVE for values in _last_parts(s, reports))
         elif settled:
             return _called(s)
     if leap and s.line is not None:
-        curves = [s.link.sent.values[22:] if c == s.camera else r[13:] for c, r in reports.items()]
-        Z = leaping.lowest(np.sum(curves, axis=0), *s.line)
+        Z = leaping.lowest(np.sum(_last_parts(s, reports), axis=0), *s.line)
         V = s.penalty * Z - (s.evidence.H @ Z.ravel() - s.evidence.h).reshape(3, 3)
         own, line = np.zeros(0), None
     message = Message(step, True, settled and line is None and not leap, np.concatenate([V.ravel(), own]))
@@ -289,6 +300,11 @@ def _refined(s: RefineState) -> RefineState:
         rotation=Z,
         verdict=verdict,
     )
+
+
+def _last_parts(s: RefineState, reports: Mapping[int, FloatArray]) -> list[FloatArray]:
+    """What the last message of each had after its report, this camera's included."""
+    return [s.link.sent.values[9 + REPORT :] if c == s.camera else r[REPORT:] for c, r in reports.items()]
 
 
 def _report(s: RefineState, Z: FloatArray) -> FloatArray:

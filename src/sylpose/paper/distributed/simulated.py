@@ -45,23 +45,30 @@ class Disturbances:
         delay: a packet is late by 0 to so many rounds, drawn for each; later ones may overtake it.
         dies: camera -> round from which on it does nothing.
         joins: camera -> round in which it starts.
+        returns: camera -> round in which it starts anew, after it has died.
+        apart: from which round on, until which, whom none but each other hear.
         nonsense: camera -> what comes of its packets (`garbled`).
         seed: of all that is drawn.
 
     Raises:
-        ValueError: a share outside [0, 1), a negative delay, an unknown kind of nonsense.
+        ValueError: a share outside [0, 1), a negative delay, a return before a death, an unknown kind of nonsense.
     """
 
     loss: float = 0.0
     delay: int = 0
     dies: Mapping[int, int] = field(default_factory=dict)
     joins: Mapping[int, int] = field(default_factory=dict)
+    returns: Mapping[int, int] = field(default_factory=dict)
+    apart: tuple[int, int, frozenset[int]] = (0, 0, frozenset())
     nonsense: Mapping[int, Nonsense] = field(default_factory=dict)
     seed: int = 0
 
     def __post_init__(self) -> None:
         if not 0 <= self.loss < 1 or self.delay < 0:
             raise ValueError(f"loss must be in [0, 1) and delay not negative, got {self.loss} and {self.delay}")
+        early = [c for c, back in self.returns.items() if not self.dies.get(c, back) < back]
+        if early:
+            raise ValueError(f"cameras {early} return before they have died")
         unknown = set(self.nonsense.values()) - set(get_args(Nonsense))
         if unknown:
             raise ValueError(f"nonsense must be one of {', '.join(get_args(Nonsense))}, got {sorted(unknown)}")
@@ -214,21 +221,28 @@ def run(
     disturbances: Disturbances,
     bound: int,
 ) -> Outcome[State]:
-    """Let cameras make steps, all once a round, until all that live are done; at most `bound` rounds after the last join."""
+    """Let cameras make steps, each once a round, until all that live are done, or `bound` after the last start."""
     n = len(starts)
     rng = np.random.default_rng(disturbances.seed)
     states: list[State | None] = [None] * n
     under_way: dict[int, list[tuple[int, int, bytes]]] = {}  # round of arrival -> (to, from, data)
     sent, received = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     rounds = 0
-    for now in range(bound + max(disturbances.joins.values(), default=0) + 1):
+    last = max((*disturbances.joins.values(), *disturbances.returns.values()), default=0)
+    begin, end, group = disturbances.apart
+    for now in range(bound + last + 1):
         inboxes: list[list[tuple[int, bytes]]] = [[] for _ in range(n)]
         for to, sender, data in under_way.pop(now, []):
             inboxes[to].append((sender, data))
         active = False
         for c in range(n):
             state = states[c]
-            if now >= disturbances.dies.get(c, now + 1) or (state is not None and state.done):
+            back = disturbances.returns.get(c)
+            if now == back:
+                state = None
+            dead = now >= disturbances.dies.get(c, now + 1) and (back is None or now < back)
+            active |= dead and back is not None
+            if dead or (state is not None and state.done):
                 continue
             active = True
             if now < disturbances.joins.get(c, 0):
@@ -242,13 +256,14 @@ def run(
                     if k == 0 or kind == "two-faced":
                         data = packet.data if kind is None else garbled(kind, packet.data, to, rng)
                         sent[c] += len(data)
-                    if rng.random() >= disturbances.loss:
+                    if rng.random() >= disturbances.loss and not (begin <= now < end and (c in group) != (to in group)):
                         late = int(rng.integers(disturbances.delay + 1))
                         under_way.setdefault(now + 1 + late, []).append((to, c, data))
         if not active:
             break
         rounds = now
-    return Outcome(states, [c not in disturbances.dies for c in range(n)], rounds, sent, received)
+    alive = [c not in disturbances.dies or c in disturbances.returns for c in range(n)]
+    return Outcome(states, alive, rounds, sent, received)
 
 
 def _checked(rotations: ArrayLike, moments: Sequence[PairMoments], aim: bool, disturbances: Disturbances) -> FloatArray:
@@ -269,6 +284,7 @@ def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome
     faults = {c: why for k in reversed(trusted) for c, why in verdicts[k].faults.items() if c not in refused}
     judged = [c for c in trusted if c not in faults]
     good = [v for c in judged if (v := verdicts[c]).converged and v.rotation is not None]
+    used = tuple(sorted({c for v in good for c in v.used}))
     rotation, information, certified, spread = np.full((3, 3), np.nan), np.zeros((3, 3)), False, np.inf
     if good and (first := good[0]).rotation is not None and first.information is not None:
         rotation, information = first.rotation, first.information
@@ -277,7 +293,7 @@ def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome
         weights = dict(sorted((c, w) for v in good for c, w in v.weights.items()))
         weighted = [moments[c].weighted(w) for c, w in weights.items()]
         certified = _certified(Q[list(weights)], weighted, aim, rotation)
-    unseen = unseen_turns(information)
+    unseen = unseen_turns(information, rotation, sum(moments[c].count > 0 for c in used))
     agreed = len(good) == len(judged) > 0 and spread < AGREED
     status = status_of(agreed, certified, unseen)
     return Agreement(
@@ -290,7 +306,7 @@ def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome
         rotations=np.array([np.full((3, 3), np.nan) if v.rotation is None else v.rotation for v in verdicts]),
         converged=np.array([v.converged for v in verdicts]),
         spread=spread,
-        used=tuple(sorted({c for v in good for c in v.used})),
+        used=used,
         faults=dict(sorted(faults.items())),
         refused=dict(sorted(refused.items())),
         sent=outcome.sent,

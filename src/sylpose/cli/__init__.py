@@ -1,0 +1,49 @@
+"""The command line: `sylpose track`, `batch`, `check`, `sync`, `view`, `demo`, `experiments`, `node`, `nodes`,
+`network` and `calibration`.
+
+Everything but the options is imported where it is used: the tracker and matplotlib take a second each, which `--help` does
+not need.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from sylpose import __version__
+from sylpose.cli.asked import app
+
+# Loading them gives them to the app, in the order of `--help`.
+from sylpose.cli import track, batch, recordings, studies, network, calibrations  # isort: skip
+
+__all__ = ["app", "batch", "calibrations", "main", "network", "recordings", "studies", "track"]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code: 0, 1 nothing found, 2 wrong input, 130 interrupted."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a terminal without "°" gets "?" and not a crash
+            stream.reconfigure(errors="replace")
+    try:
+        app(args=None if argv is None else list(argv), prog_name="sylpose")
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+    return 0
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"sylpose {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", help="Say the version and exit.", is_eager=True, callback=_version)
+    ] = False,
+) -> None:
+    pass

@@ -1,0 +1,130 @@
+"""What the commands have in common: how they are asked, how they end, and options that several have."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, NoReturn, ParamSpec
+
+import typer
+
+__all__ = [
+    "INTERRUPTED",
+    "WRONG_INPUT",
+    "BoxesFile",
+    "CalibrationFile",
+    "MasksFolder",
+    "Offsets",
+    "OutFolder",
+    "Overlay",
+    "RefineCalibration",
+    "Seed",
+    "SessionPath",
+    "Stop",
+    "app",
+    "examples",
+    "fail",
+    "one_of",
+    "say",
+    "spoken",
+]
+
+P = ParamSpec("P")
+
+FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
+
+
+def examples(*lines: str) -> str:
+    """Lines below a help text that are not run together."""
+    return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
+
+
+app = typer.Typer(
+    name="sylpose",
+    help="How a rigid object moves in 3D, from the videos of several calibrated cameras.",
+    epilog=examples("sylpose demo", "sylpose check recording", "sylpose track recording"),
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def spoken(command: Callable[P, None]) -> Callable[P, None]:
+    """Wrong input and interrupts end a command with a sentence and an exit code; bugs keep their traceback."""
+
+    @functools.wraps(command)
+    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            command(*args, **kwargs)
+        except KeyboardInterrupt as interrupt:
+            say(str(interrupt) or "interrupted")
+            raise typer.Exit(INTERRUPTED) from None
+        except BrokenPipeError:  # nobody reads any more, which Typer handles
+            raise
+        except (ValueError, OSError) as error:
+            if type(error).__name__ == "LinAlgError":  # a bug
+                raise
+            say(sentence_of(error))
+            raise typer.Exit(WRONG_INPUT) from None
+
+    return run
+
+
+def say(sentence: str) -> None:
+    print(f"sylpose: {sentence}", file=sys.stderr)
+
+
+def sentence_of(error: ValueError | OSError) -> str:
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror.lower()}"
+    return str(error) or type(error).__name__
+
+
+SessionPath = Annotated[
+    Path,
+    typer.Argument(metavar="SESSION", help="Folder with one video (cam_0.mp4) or one folder of images per camera."),
+]
+CalibrationFile = Annotated[
+    Path | None, typer.Option("--calibration", metavar="FILE", help="Calibration; found in SESSION when it is there.")
+]
+BoxesFile = Annotated[
+    Path | None,
+    typer.Option("--boxes", metavar="FILE", help="The object's boxes in the first frame; SESSION/boxes.toml if any."),
+]
+MasksFolder = Annotated[
+    Path | None, typer.Option("--masks", metavar="DIR", help="Masks of the object; SESSION/masks if there is one.")
+]
+Offsets = Annotated[
+    list[str] | None,
+    typer.Option("--offset", metavar="CAM=N", help="A camera that starts N frames late; may be given several times."),
+]
+OutFolder = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Where the results go; SESSION/sylpose by default.")
+]
+Stop = Annotated[int | None, typer.Option(metavar="N", help="The frame to stop before; all by default.")]
+Overlay = Annotated[bool, typer.Option("--overlay/--no-overlay", help="Write overlay.mp4.")]
+RefineCalibration = Annotated[
+    bool, typer.Option("--refine-calibration", help="Smooth; write calibration.refined.toml, too.")
+]
+Seed = Annotated[
+    int, typer.Option("--seed", metavar="N", help="Of everything random: the same seed gives the same result.")
+]
+
+
+def one_of(choices: Sequence[str]) -> Callable[[str], str]:
+    def check(name: str) -> str:
+        if name not in choices:
+            raise typer.BadParameter(f"{name!r} is not one of {', '.join(choices)}")
+        return name
+
+    return check
+
+
+def fail(sentences: Sequence[str]) -> NoReturn:
+    for sentence in sentences:
+        say(sentence)
+    raise typer.Exit(FAILED)

@@ -1,0 +1,75 @@
+"""`sylpose check` and `sylpose sync`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sylpose.cli.asked import (
+    BoxesFile,
+    CalibrationFile,
+    MasksFolder,
+    Offsets,
+    OutFolder,
+    Seed,
+    SessionPath,
+    Stop,
+    app,
+    examples,
+    fail,
+    spoken,
+)
+
+__all__ = ["check", "sync"]
+
+
+@app.command(
+    short_help="What is understood, and what looks wrong.",
+    epilog=examples("sylpose check recording", "sylpose check recording --calibration rig.toml --out results"),
+)
+@spoken
+def check(
+    session: SessionPath,
+    calibration: CalibrationFile = None,
+    boxes: BoxesFile = None,
+    masks: MasksFolder = None,
+    offset: Offsets = None,
+    out: OutFolder = None,
+) -> None:
+    """What sylpose understands of a recording, and what looks wrong with it.
+
+    Draws the rig from above and from the side into OUT/rig.png.
+    """
+    from sylpose.app.check import check_aloud
+    from sylpose.app.opening import open_recorded
+
+    check_aloud(open_recorded(session, calibration, boxes, masks, offset), out)
+
+
+@app.command(
+    short_help="How far apart in time the cameras are.",
+    epilog=examples("sylpose sync recording", "sylpose sync recording --max-lag 10 --start 200 --stop 600"),
+)
+@spoken
+def sync(
+    session: SessionPath,
+    calibration: CalibrationFile = None,
+    boxes: BoxesFile = None,
+    masks: MasksFolder = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where the offsets go; SESSION/offsets.toml by default.")
+    ] = None,
+    max_lag: Annotated[float, typer.Option(metavar="SEC", help="How far apart two cameras may be.")] = 3.0,
+    start: Annotated[int, typer.Option(metavar="N", help="The first frame to look at.")] = 0,
+    stop: Stop = None,
+    seed: Seed = 0,
+) -> None:
+    """How far apart in time the cameras are, from the recorded motion. Writes offsets.toml, which track uses."""
+    from sylpose.app.sync import Known, sync_aloud
+    from sylpose.capture import open_session
+
+    opened = open_session(session, calibration=calibration, boxes=boxes, masks=masks)
+    if set(sync_aloud(opened, out, max_lag=max_lag, start=start, stop=stop, seed=seed).known) == {Known.NOT}:
+        fail(["no offset could be found; nothing was written"])

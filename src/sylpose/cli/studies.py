@@ -1,0 +1,100 @@
+"""`sylpose demo`, `sylpose view` and `sylpose experiments`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sylpose.cli.asked import Seed, app, examples, fail, spoken
+
+__all__ = ["demo", "experiments", "view"]
+
+
+@app.command(
+    short_help="Render, track, compare with the truth.",
+    epilog=examples("sylpose demo", "sylpose demo --turn 120 --cameras 3 --out block"),
+)
+@spoken
+def demo(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where recording and results go.")] = Path("sylpose_demo"),
+    frames: Annotated[int, typer.Option(metavar="N", help="How many, at 30 per second.")] = 60,
+    turn: Annotated[float, typer.Option(metavar="DEG", help="By how much the object turns in all.")] = 90.0,
+    cameras: Annotated[int, typer.Option(metavar="N", help="How many.")] = 4,
+    seed: Seed = 0,
+) -> None:
+    """Render a recording with known truth, track it from its videos and compare.
+
+    A painted block turns and drifts in front of some cameras. Exit code 0 when its motion was found in all frames to
+    within 2 degrees.
+    """
+    from sylpose.app.demo import demo_aloud
+
+    if failures := demo_aloud(out, frames=frames, turn_deg=turn, n_cameras=cameras, seed=seed):
+        fail(failures)
+
+
+@app.command(
+    short_help="A trajectory as a camera sees it, also a virtual one.",
+    epilog=examples(
+        "sylpose view recording/sylpose cam_2",
+        "sylpose view results top --calibration virtual.toml",
+        "sylpose view results top --from 0 -2 0 --at 0 0 0",
+    ),
+)
+@spoken
+def view(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote, or its trajectory.csv.")
+    ],
+    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A camera's name; with --from, a name for the view.")],
+    calibration: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Where CAMERA is looked up; by default beside RESULT, in its session."),
+    ] = None,
+    eye: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option("--from", metavar="X Y Z", help="A virtual camera: where it stands, in the world."),
+    ] = None,
+    at: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option("--at", metavar="X Y Z", help="What it looks at; where the object was first by default."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the view goes; RESULT by default.")] = None,
+) -> None:
+    """A finished trajectory in the axes of a camera: one of the rig, one that saw nothing, or a virtual one.
+
+    Writes view_CAMERA.tum (camera_from_object), view_CAMERA.csv and view_CAMERA.png.
+    """
+    from sylpose.app.view import view_aloud
+
+    view_aloud(result, camera, calibration, eye, at, out)
+
+
+@app.command(
+    short_help="The paper's experiments: tables and figures.",
+    epilog=examples("sylpose experiments", "sylpose experiments --only noise --only cameras --out noise --quick"),
+)
+@spoken
+def experiments(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where tables and figures go.")] = Path(
+        "sylpose_experiments"
+    ),
+    only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="STUDY", help="Only this one; may be given several times. A wrong name lists them."),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few trials: half a minute instead of five.")] = False,
+    seed: Seed = 0,
+) -> None:
+    """Simulated studies of the paper's estimators: how exact they are, what they withstand, how long they take.
+
+    Writes paper_STUDY.csv and paper_STUDY.png for each study and paper_index.md into OUT, and leaves other files there
+    alone.
+    """
+    from sylpose.app import text
+    from sylpose.app.experiments import chosen, run_studies
+
+    files = run_studies(chosen(only or []), out, seed=seed, quick=quick)
+    text.print_files(text.make_console(), "Files", files)

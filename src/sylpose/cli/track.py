@@ -1,0 +1,138 @@
+"""`sylpose track`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sylpose.cli.asked import (
+    BoxesFile,
+    CalibrationFile,
+    MasksFolder,
+    Offsets,
+    OutFolder,
+    Overlay,
+    RefineCalibration,
+    Seed,
+    SessionPath,
+    Stop,
+    app,
+    examples,
+    fail,
+    one_of,
+    say,
+    spoken,
+)
+from sylpose.methods import FEATURES, METHODS, MODES, features_of, summary
+
+__all__ = ["track"]
+
+
+@app.command(
+    epilog=f"\b\n{summary()}\n\n"
+    + examples(
+        "sylpose track recording",
+        "sylpose track recording --boxes first_frame.toml --out results",
+        "sylpose track recording --start 100 --stop 400 --every 2 --offset cam_2=5",
+    )
+)
+@spoken
+def track(
+    session: SessionPath,
+    calibration: CalibrationFile = None,
+    boxes: BoxesFile = None,
+    masks: MasksFolder = None,
+    offset: Offsets = None,
+    out: OutFolder = None,
+    offsets: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Seconds by which cameras are late, in TOML; SESSION/offsets.toml if there is one."
+        ),
+    ] = None,
+    method: Annotated[
+        str,
+        typer.Option(metavar="|".join(METHODS), help="How it is estimated; see below.", callback=one_of(METHODS)),
+    ] = METHODS[0],
+    features: Annotated[
+        str,
+        typer.Option(
+            metavar="|".join(FEATURES),
+            help="SIFT in every frame, or KLT between SIFT keyframes: faster and finer; auto: KLT for landmarks, else SIFT.",
+            callback=one_of(FEATURES),
+        ),
+    ] = FEATURES[0],
+    smooth: Annotated[
+        bool | None, typer.Option("--smooth/--no-smooth", help="Refine all poses together at the end: recordings are.")
+    ] = None,
+    refine_calibration: RefineCalibration = False,
+    start: Annotated[int, typer.Option(metavar="N", help="The first frame to track.")] = 0,
+    stop: Stop = None,
+    every: Annotated[int, typer.Option(metavar="N", help="Track every n-th frame.")] = 1,
+    overlay: Overlay = True,
+    distributed: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(MODES),
+            help="By nodes, one for each camera, over a simulated network: as in one process, or in few rounds.",
+        ),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with an interrupted run; give the same options as then.")
+    ] = False,
+    checkpoint: Annotated[
+        float, typer.Option(metavar="SEC", min=0, help="Time between two checkpoints, from which --resume can go on.")
+    ] = 20.0,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="SESSION has folders of images that a recorder is still filling.")
+    ] = False,
+    lossless: Annotated[
+        bool, typer.Option("--lossless", help="With --follow: track all frames, however late.")
+    ] = False,
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="With --follow: frames per second; for times in seconds.")
+    ] = None,
+    seed: Seed = 0,
+) -> None:
+    """The object's pose in every frame of a recording, or of live cameras (a folder with live.toml).
+
+    Writes trajectory.tum (time tx ty tz qx qy qz qw), trajectory.csv (with angles, uncertainty, status, inliers and
+    residuals), report.png and overlay.mp4 into OUT; of several objects, each into a folder of its own. Without boxes and
+    masks, the object is what moves against the standing background.
+    """
+    from sylpose.app.aloud import track_aloud, why_nothing
+    from sylpose.app.opening import open_asked
+    from sylpose.app.run import has_ended, output_path
+    from sylpose.sync.offsets import find_offsets
+
+    features_of(method, features)
+    opened = open_asked(
+        session, calibration, boxes, masks, offset, resume=resume, follow=follow, lossless=lossless, rate=rate
+    )
+    if resume and has_ended(opened, out):
+        print(f"{output_path(opened, out)}: the run there has ended; there is nothing to resume")
+        return
+    run = track_aloud(
+        opened,
+        out,
+        method=method,
+        features=features,
+        offsets=find_offsets(opened, offsets),
+        smooth=smooth,
+        refine_calibration=refine_calibration,
+        start=start,
+        stop=stop,
+        every=every,
+        overlay=overlay,
+        distributed=distributed,
+        resume=resume,
+        checkpoint_seconds=checkpoint,
+        seed=seed,
+    )
+    missing = why_nothing(opened, run)
+    if len(missing) == len(run.trajectories):
+        fail(missing)
+    for sentence in missing:
+        say(sentence)

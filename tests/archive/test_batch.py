@@ -1,0 +1,185 @@
+"""`sylpose batch`: what it writes and says, its exit codes; its results are those of `sylpose track`."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sylpose.app.run import track_session
+from sylpose.archive import aloud, tracked
+from sylpose.archive.claims import claimed
+from sylpose.archive.contract import How, process, read_record
+from sylpose.archive.recordings import Options, find_recordings
+from sylpose.archive.stores import place
+from sylpose.archive.summary import gathered
+from sylpose.capture import open_session
+from sylpose.cli import main
+from tests.archive.works import HOW, recordings_in, times_worked
+
+COLUMNS = ["recording", "status", "frames", "coverage", "residual_px", "faults", "seconds", "error"]
+
+
+@pytest.fixture
+def simple(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command without the tracking."""
+    monkeypatch.setattr(How, "work", HOW.work)
+    monkeypatch.setattr(How.__init__, "__defaults__", (HOW.work, *How.__init__.__defaults__[1:]))  # type: ignore[index]
+
+
+def table(out: Path) -> dict[str, dict[str, str]]:
+    with (out / "summary.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == COLUMNS
+    return {row["recording"]: row for row in rows}
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_results_are_those_of_track(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From an object store into an object store, and in a folder."""
+    monkeypatch.setattr(tracked, "warm", lambda: None)
+    store = place("memory://lab/archive")
+    for path in recording.iterdir():
+        store.write(f"day 1/turn/{path.name}", path)
+    (found,) = find_recordings([store.url], Options(overlay=False, every=2, seed=3)).recordings
+    assert found.name == "day 1/turn"
+    out = place("memory://results")
+    summary = process(found, out, How(run="a", threads=2, scratch=str(tmp_path / "scratch")))
+    run = track_session(open_session(recording), tmp_path / "track", overlay=False, every=2, seed=3)
+    for path in (tmp_path / "track").iterdir():
+        if path.suffix in (".csv", ".tum"):
+            assert out.below("day 1/turn").read(path.name) == path.read_bytes(), path.name
+    assert summary.status == "done"
+    assert (summary.frames, summary.coverage) == (len(run.trajectory), 1.0)
+    assert summary.residual_px is not None
+    assert 0.02 < summary.residual_px < 0.5
+    record = read_record(out.below("day 1/turn"))
+    assert record is not None
+    assert set(record.files) == {path.name for path in (tmp_path / "track").iterdir()}
+    assert list((tmp_path / "scratch").iterdir()) == []
+
+
+def test_errors_name_the_original_not_the_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracked, "warm", lambda: None)
+    place("memory://broken/r").write("calibration.toml", b"?")
+    place("memory://broken/r").write("cam_0.mp4", b"?")
+    (found,) = find_recordings(["memory://broken"], Options()).recordings
+    summary = process(found, place(tmp_path / "out"), How(run="a"))
+    assert summary.status == "wrong input"
+    assert summary.error.startswith("memory://broken/r/calibration.toml: not valid TOML")
+
+
+@pytest.mark.usefixtures("simple")
+def test_batch_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, out = tmp_path / "in", tmp_path / "out"
+    orders = {"a": "work", "b": "wrong", "c": "work"}
+    recordings_in(folder, **orders)
+    command = ["batch", str(folder), "--out", str(out), "--jobs", "1"]
+    assert main([*command, "--status"]) == 0
+    assert "Recordings    3: 3 waiting" in capsys.readouterr().out
+    assert main(command) == 1
+    said = capsys.readouterr()
+    assert "3 recordings, 1 at a time" in said.out
+    assert "Recordings    3: 2 done, 1 wrong input" in said.out
+    assert "! b: cam_0 is upside down" in said.out
+    assert "a: cam_1 was moved" in said.out
+    assert said.err.splitlines()[-1] == "sylpose: 1 of 3 recordings without a trajectory"
+    rows = table(out)
+    assert rows["a"] | {"seconds": ""} == dict(
+        zip(COLUMNS, ("a", "done", "7", "0.5", "", "cam_1 was moved", "", ""), strict=True)
+    )
+    assert rows["b"]["error"] == "cam_0 is upside down"
+    parquet = pytest.importorskip("pyarrow.parquet").read_table(out / "summary.parquet").to_pylist()
+    assert [(row["recording"], row["frames"], row["coverage"]) for row in parquet] == [
+        ("a", 7, 0.5),
+        ("b", None, None),
+        ("c", 7, 0.5),
+    ]
+    # Again: nothing is done; with another seed, all; what is changed is known before.
+    assert main(command) == 1
+    assert "3 of them are finished already" in capsys.readouterr().out
+    assert [times_worked(folder, name) for name in "abc"] == [1, 1, 1]
+    (folder / "b" / "do").write_text("work now")
+    assert main([*command, "--status"]) == 0
+    assert table(out)["b"]["status"] == "outdated"
+    assert main(command) == 0
+    assert [times_worked(folder, name) for name in "abc"] == [1, 2, 1]
+    capsys.readouterr()
+    with claimed(place(out).below("c"), "x"):
+        assert main(["batch", "--status", "--out", str(out)]) == 0
+    assert "Recordings    3: 2 done, 1 running" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("simple")
+def test_shards_do_their_own_and_status_gathers_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recordings_in(tmp_path / "in", **dict.fromkeys("abcde", "work"))
+    for k in (1, 2):
+        assert main(["batch", str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--shard", f"{k}/2"]) == 0
+        assert f"recordings, shard {k}/2 of 5" in capsys.readouterr().out
+        assert not (tmp_path / "out" / "summary.csv").exists()
+    assert main(["batch", "--status", "--out", str(tmp_path / "out")]) == 0
+    assert set(table(tmp_path / "out")) == set("abcde")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["in"], "--out DEST is missing"),
+        (["--out", "out"], "SOURCE is missing"),
+        (["in", "--out", "out", "--jobs", "2", "--ray", "auto"], "give one of them"),
+        (["in", "--out", "out", "--shard", "0/3"], "--shard: one of 1/N to N/N"),
+        (["nowhere", "--out", "out"], "no such folder"),
+        (["--status", "--out", "out"], "no results of sylpose batch in it"),
+        (["in", "--out", "in/a/do"], "cannot"),
+        (["in", "--out", "out", "--ray", "auto"], "python3 -m pip install 'sylpose[cluster]'"),
+        (["in", "--out", "out", "--start", "5", "--stop", "5"], "--stop must be greater"),
+    ],
+)
+def test_what_cannot_be_is_said_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    recordings_in(tmp_path / "in", a="work")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "ray", None)
+    assert main(["batch", *words]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_many_rows_are_not_all_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = place(tmp_path / "out")
+    recordings = recordings_in(tmp_path / "in", **{f"r{k:03}": "work" for k in range(40)}, s="wrong")
+    for recording in recordings:
+        process(recording, out, HOW)
+    aloud.status_aloud(out, None)
+    assert len(gathered(out)) == len(table(tmp_path / "out")) == 41
+    said = capsys.readouterr().out
+    assert said.count(" done ") <= aloud.SHOWN + 1
+    assert "Not shown     11: see summary.csv" in said
+
+
+def test_an_interrupt_ends_in_130_and_leaves_nothing_half(recording: Path, tmp_path: Path) -> None:
+    """By SIGTERM, as SLURM ends what takes too long; Ctrl-C is the same."""
+    for name in ("a", "b"):
+        shutil.copytree(recording, tmp_path / "in" / name)
+    out, scratch = tmp_path / "out", tmp_path / "scratch"
+    command = [sys.executable, "-m", "sylpose", "batch", "in", "--out", "out", "--scratch", "scratch", "--jobs", "1"]
+    run = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
+    deadline = time.monotonic() + 60
+    while not list(out.glob("*/claim-*")) and time.monotonic() < deadline and run.poll() is None:
+        time.sleep(0.02)
+    run.send_signal(signal.SIGTERM)
+    assert run.stderr is not None
+    said = run.stderr.read()
+    assert run.wait(60) == 130
+    assert said == "sylpose: interrupted after 0 of 2; what is finished stays, the same command goes on\n"
+    assert [path for path in out.rglob("*") if path.is_file()] == [out / "batch.txt"]
+    assert list(scratch.glob("*")) == []

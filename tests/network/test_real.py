@@ -1,0 +1,247 @@
+"""Nodes on a real network on this machine: processes and sessions, keys, deaths."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sylpose import calibration
+from sylpose.capture import open_session
+from sylpose.cli import main
+from sylpose.network.agreed import Patience
+from sylpose.network.keys import make_keys
+from sylpose.network.node import Node, track_by_node
+from sylpose.network.presence import Answer, Ask, Present
+from sylpose.network.runner import Runner
+from sylpose.network.simulated import Recorded, Reel
+from sylpose.network.wire import LOOPBACK, Links, Place, Wire, digest_of, watch_network
+from sylpose.paper.distributed.messages import Packet
+from sylpose.report.files import read_trajectory
+from sylpose.simulate import render_sequence
+from sylpose.simulate.demo import DemoTruth
+from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.tracker import track
+from tests.clips import Clip, errors
+from tests.network.test_simulated import FRAMES, clip  # noqa: F401
+
+pytest.importorskip("zenoh")
+
+NAMES = ("cam_0", "cam_1", "cam_2")
+DEADLINE = 90.0  # seconds, of a busy machine
+
+
+@pytest.fixture
+def network() -> str:
+    return f"test-{os.getpid()}-{time.monotonic_ns()}"
+
+
+# --- processes --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DemoTruth]:
+    folder = tmp_path_factory.mktemp("recording")
+    return folder, render_sequence(folder, frames=8, turn_deg=15, n_cameras=3, seed=5)
+
+
+def test_processes_have_the_trajectory_of_one(recording: tuple[Path, DemoTruth], network: str, tmp_path: Path) -> None:
+    """With keys; a fourth one, whose keys are of another authority, is not let in."""
+    folder, _ = recording
+    file = folder / "calibration.toml"
+    for keys in ("keys", "others"):
+        make_keys(tmp_path / keys, NAMES)
+    links = ["--network", network, "--speed", "0"]
+    poses: list[str] = []
+    listener = Links(LOOPBACK, keys=tmp_path / "keys")
+    session = watch_network(listener, network, lambda *_: None, lambda _, line: poses.append(line))
+
+    def node(name: str, keys: str, *more: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "sylpose", "node", name, "--calibration", str(file), *links]
+        command += ["--source", str(folder / f"{name}.mp4"), "--keys", str(tmp_path / keys), *more]
+        command += ["--out", str(tmp_path / name / keys)]
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+    nodes = [node(name, "keys", "--wait", "60") for name in NAMES]
+    foreign = node("cam_1", "others", "--wait", "0")
+    try:
+        said = [process.communicate(timeout=DEADLINE)[0] for process in (*nodes, foreign)]
+    finally:
+        for process in (*nodes, foreign):
+            process.kill()
+    session.close()
+    assert [process.returncode for process in nodes] == [0, 0, 0], said
+    session_there = open_session(folder)
+    expected = list(track(session_there.frames(), session_there.rig))
+    for name in NAMES:
+        found = read_trajectory(tmp_path / name / "keys" / f"{name}.csv")
+        assert [p.status for p in found] == [f.pose.status for f in expected]
+        for mine, its in zip(found, expected, strict=True):
+            if its.pose.world_from_object is not None:
+                assert mine.world_from_object is not None
+                np.testing.assert_allclose(
+                    mine.world_from_object.as_matrix(), its.pose.world_from_object.as_matrix(), atol=1e-7
+                )
+    # Whoever listens has it, too: a line for each frame of each node.
+    lines = [json.loads(line) for line in poses]
+    assert {line["node"] for line in lines} == set(NAMES)
+    last = [line for line in lines if line["frame"] == 7]
+    assert last
+    assert all(line["took_part"] == list(NAMES) and line["status"] == "tracked" for line in last)
+    pose = expected[-1].pose.world_from_object
+    assert pose is not None
+    np.testing.assert_allclose(last[0]["position"], pose.translation, atol=1e-7)
+    # The other one found itself alone.
+    assert "with cam_1;" in said[-1]
+    assert "cam_0" not in said[-1]
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["cam_9", "--source", "cam_0.mp4"], "no camera 'cam_9' in it (cam_0, cam_1, cam_2)"),
+        (
+            ["cam_0", "--source", "nothing.mp4"],
+            "--source nothing.mp4: no such file or folder, and no number of a camera",
+        ),
+        (["cam_0", "--source", "0"], "--rate HZ is needed with a camera or a stream"),
+        (["cam_0"], "a node is a camera and its images: CAMERA and --source are needed"),
+        (["cam_0", "--source", "{folder}/cam_0.mp4", "--keys", "no_keys"], "no_keys/ca.pem: no such file"),
+        (["cam_0", "--source", "{folder}/cam_0.mp4", "--network", "a/b"], "network 'a/b': a name of letters"),
+        (["cam_0", "--source", "{folder}/cam_0.mp4", "--listen", "1.2.3.4:1"], "cannot listen at 1.2.3.4:1"),
+        (["--view", "cam_0", "--source", "x"], "--view is a node without a camera"),
+    ],
+)
+def test_bad_nodes_are_told_why(
+    recording: tuple[Path, DemoTruth],
+    options: list[str],
+    why: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder, _ = recording
+    monkeypatch.chdir(tmp_path)
+    given = [option.format(folder=folder) for option in options]
+    assert main(["node", *given, "--calibration", str(folder / "calibration.toml")]) == 2
+    assert why in capsys.readouterr().err
+
+
+# --- sessions ---------------------------------------------------------------------------------------------------------
+
+
+class Sessions:
+    """Nodes in threads of this process, each with a session of its own."""
+
+    def __init__(self, of: Clip, network: str) -> None:
+        self.clip, self.network = of, network
+        self.found: dict[int, list[TrackedFrame]] = {}
+        self.refused: dict[int, dict[str, str]] = {}
+        self._stops: dict[int, threading.Event] = {}
+        self._threads: list[threading.Thread] = []
+        self.errors: list[BaseException] = []
+
+    def start(self, c: int, pause: float = 0.0) -> None:
+        """A node on the clip, a frame after each pause."""
+        stop = self._stops[c] = threading.Event()
+        self.found[c] = []
+        thread = threading.Thread(target=self._run, args=(c, stop, pause), daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def _run(self, c: int, stop: threading.Event, pause: float) -> None:
+        rig, found = self.clip.rig, self.found[c]
+
+        def work(ask: Callable[[Ask, int], Answer]) -> None:
+            shots = Recorded(c, Reel(self.clip.frames()))
+            for frame in track_by_node(Node(c, len(rig), ask), rig, shots, self.clip.boxes, enters=True):
+                found.append(frame)
+                time.sleep(pause)
+
+        def send(packets: list[Packet]) -> int:
+            return 0 if stop.is_set() else wire.send(packets)
+
+        try:
+            present = Present(c, len(rig), time.time_ns() % 2**32, 500, Patience(50, 1500))
+            runner = Runner(present, work, send)  # type: ignore[arg-type]
+            wire = Wire(Place(rig.names[c], digest_of(rig), self.network), rig.names, Links(), runner.heard)
+            self.refused[c] = wire.refused
+            try:
+                runner.run(lambda _: None, stop.is_set)
+            finally:
+                wire.close()
+        except BaseException as error:
+            self.errors.append(error)
+
+    def kill(self, c: int) -> None:
+        """Nothing is heard of it any more."""
+        self._stops[c].set()
+
+    def wait(self, until: Callable[[], bool]) -> None:
+        """Until something is so."""
+        end = time.monotonic() + DEADLINE
+        while not until():
+            assert not self.errors, self.errors
+            assert time.monotonic() < end, "nothing came of it"
+            time.sleep(0.01)
+
+    def join(self) -> None:
+        """Until all are through."""
+        for thread in self._threads:
+            thread.join(DEADLINE)
+            assert not thread.is_alive()
+        assert not self.errors, self.errors
+
+
+@pytest.fixture
+def sessions(clip: Clip, network: str) -> Iterator[Sessions]:  # noqa: F811
+    running = Sessions(clip, network)
+    yield running
+    for c in list(running.found):
+        running.kill(c)
+
+
+def test_a_node_that_is_killed_comes_back(sessions: Sessions) -> None:
+    for c in range(3):
+        sessions.start(c, pause=0.4)
+    sessions.wait(lambda: len(sessions.found[1]) >= 2)
+    sessions.kill(1)
+    before = sessions.found[1]
+    sessions.wait(lambda: len(sessions.found[0]) >= 3 and len(sessions.found[0]) > len(before))
+    sessions.start(1, pause=0.4)
+    sessions.join()
+    again = sessions.found[1]
+    assert again, "it did not come back"
+    for c in (0, 2):
+        assert len(sessions.found[c]) == FRAMES
+        assert errors(sessions.found[c], sessions.clip.truth)[:, 0].max() < 1.2
+    # What it says is what the others say, before and after.
+    others = {f.pose.index: f.pose for f in sessions.found[0]}
+    for frame in (*before[:-1], *again):
+        mine, its = frame.pose.world_from_object, others[frame.pose.index].world_from_object
+        assert mine is not None
+        assert its is not None
+        np.testing.assert_array_equal(mine.as_matrix(), its.as_matrix())
+
+
+def test_names_are_taken_once_and_other_calibrations_are_named(sessions: Sessions, tmp_path: Path) -> None:
+    sessions.start(0)
+    sessions.wait(lambda: 0 in sessions.refused)
+    rig = sessions.clip.rig
+    with pytest.raises(ValueError, match="cam_0: another node of that name is in network"):
+        Wire(Place("cam_0", digest_of(rig), sessions.network), rig.names, Links(), lambda *_: None)
+    calibration.save(rig, tmp_path / "rig.toml")
+    assert digest_of(calibration.load(tmp_path / "rig.toml")) == digest_of(rig)
+    other = Wire(Place("cam_1", "0123456789abcdef", sessions.network), rig.names, Links(), lambda *_: None)
+    sessions.wait(lambda: "cam_1" in sessions.refused[0])
+    assert "its calibration or its options are others" in sessions.refused[0]["cam_1"]
+    sessions.wait(lambda: "cam_0" in other.refused)
+    other.close()
