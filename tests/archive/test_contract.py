@@ -153,6 +153,28 @@ def test_a_claim_is_respected_while_its_worker_lives(out: Place, tmp_path: Path,
     assert files_in(out) == ({"claim-000003.json"} if held else FILES)
 
 
+def test_an_interrupt_right_after_the_claim_gives_it_back(out: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    create = Place.create
+
+    def interrupted(self: Place, name: str, content: bytes) -> bool:
+        assert create(self, name, content)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Place, "create", interrupted)
+    with pytest.raises(KeyboardInterrupt), claimed(out, "a"):
+        pass
+    assert claims.holder(out) is None
+
+    def interrupted_by_others(self: Place, name: str, content: bytes) -> bool:
+        assert create(self, name, claim("elsewhere", 1))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Place, "create", interrupted_by_others)
+    with pytest.raises(KeyboardInterrupt), claimed(out, "a"):
+        pass
+    assert claims.holder(out) is not None
+
+
 def test_a_claim_is_renewed_until_it_is_superseded(out: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(claims, "BEAT", 0.02)
     with claimed(out, "a") as mine:

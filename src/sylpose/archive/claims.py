@@ -107,9 +107,9 @@ def claimed(place: Place, run: str) -> Iterator[_Mine]:
         Held: by another one that is alive, which the sentence names.
         OSError: the store does not answer.
     """
-    mine = _Mine(place, _take(place, run), run)
-    mine.start()
+    mine = _Mine(place, run)
     try:
+        mine.start()
         yield mine
     finally:
         mine.stop()
@@ -135,22 +135,36 @@ def _take(place: Place, run: str) -> int:
 class _Mine:
     """A claim that a thread renews."""
 
-    def __init__(self, place: Place, number: int, run: str) -> None:
-        self._place, self._number, self._run, self._since = place, number, run, time.time()
+    def __init__(self, place: Place, run: str) -> None:
+        self._place, self._run, self._since = place, run, time.time()
+        self._number = -1
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._renew, daemon=True, name="sylpose-claim")
 
     def start(self) -> None:
+        self._number = _take(self._place, self._run)
         self._thread.start()
 
     def stop(self) -> None:
-        """Gives the claim back, and those that it has superseded before it."""
+        """Gives the claim back, and those that it has superseded before it.
+
+        Where an interrupt came between its creation and the knowledge of its number, the file says which it is.
+        """
         self._end.set()
-        self._thread.join()
+        if self._thread.is_alive():
+            self._thread.join()
         with suppress(OSError):  # it expires
-            for number in _numbers(self._place):
-                if number <= self._number:
+            numbers = _numbers(self._place)
+            last = self._number
+            if last < 0:
+                last = max((number for number in numbers if self._is_mine(number)), default=-1)
+            for number in numbers:
+                if number <= last:
                     self._place.remove(_name(number))
+
+    def _is_mine(self, number: int) -> bool:
+        claim = _read(self._place, number)
+        return claim is not None and (claim.host, claim.pid, claim.run) == (here(), os.getpid(), self._run)
 
     @property
     def counts(self) -> bool:

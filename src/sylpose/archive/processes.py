@@ -151,6 +151,7 @@ def _serve(pipe: Connection, destination: Place, how: How, memory: int | None) -
 
 
 def _interrupt(*_: Any) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # SLURM tells every process, and then our own parent does
     raise KeyboardInterrupt
 
 
