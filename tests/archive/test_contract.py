@@ -165,7 +165,7 @@ def test_an_interrupt_right_after_the_claim_gives_it_back(out: Place, monkeypatc
         pass
     assert claims.holder(out) is None
 
-    def interrupted_by_others(self: Place, name: str, content: bytes) -> bool:
+    def interrupted_by_others(self: Place, name: str, _: bytes) -> bool:
         assert create(self, name, claim("elsewhere", 1))
         raise KeyboardInterrupt
 
