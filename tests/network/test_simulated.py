@@ -220,7 +220,7 @@ def test_cameras_that_all_come_late_found_a_group(clip: Clip) -> None:
 def test_a_recording_without_frames_is_none(clip: Clip) -> None:
     outcome = track_by_nodes([], clip.rig, clip.boxes)
     assert outcome.frames == [[], [], []]
-    assert [len(told) for told in outcome.told] == [1, 1, 1]  # that there is none
+    assert [len(told) for told in outcome.told] == [2, 2, 2]  # that there is none, and that all have heard so
 
 
 def test_a_node_takes_what_means_nothing_for_nothing_and_names_who_said_it() -> None:

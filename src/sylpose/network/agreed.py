@@ -11,20 +11,28 @@ agreeing to anything else; so no two cameras that listen to each other end it di
 nobody that the others hear.
 
 Between two rounds, cameras may join: all members have to begin the next one with the same newcomers, each of which is told
-what there is to know. That makes another epoch: what was said in one means nothing in another.
+what there is to know.
 
-Source: view synchrony, K. Birman, T. Joseph, "Exploiting virtual synchrony in distributed systems" (1987).
+A round's epoch is a digest of all that was told before it, and by whom: what was said in one means nothing in another. So a
+camera that tells each listener something else is found out with the next word of any of them. Then all tell each other
+digests of what they heard of whom (`liars`), those that lie are members no more, and the others begin a round in which
+nothing is told, from which they go back to where they last were alike.
+
+Source: view synchrony, K. Birman, T. Joseph, "Exploiting virtual synchrony in distributed systems" (1987); what listeners
+tell each other of what they heard, L. Lamport, R. Shostak, M. Pease, "The Byzantine generals problem" (1982), section 3, of
+digests and only where something is wrong.
 """
 
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from sylpose.network.liars import NOBODY_LIES, Blame, Rows, liars
 from sylpose.network.words import (
+    DISPUTES,
     ENDED,
     GIVES_UP,
     MOST_CAMERAS,
@@ -33,6 +41,8 @@ from sylpose.network.words import (
     Welcome,
     Word,
     bits_of,
+    digest,
+    disputed,
     message,
     passed_on,
     read_word,
@@ -42,8 +52,8 @@ from sylpose.paper.distributed.messages import Inbox, Packet
 
 __all__ = ["PATIENCE", "Agreeing", "Patience", "agree_next", "agree_start", "agree_step", "silenced"]
 
-# What makes an epoch (derived).
-_NEW_EPOCH = struct.Struct("<IQ128s128s")
+# What makes an epoch, with what was told (derived).
+_EPOCH, _TOLD = struct.Struct("<QQ128s128s"), struct.Struct("<HI")
 # Ticks after which a camera says again what it has said, or that it is at work, and of these so many after which a newcomer
 # is welcomed again: that is long (choice).
 AGAIN, TOUR = 2, 5
@@ -72,6 +82,10 @@ class Agreeing:
         welcome: what newcomers have to know, and newcomers: who has not spoken yet of those that joined with this round.
         heard: camera -> what it told in this round; early: of those one ahead, the epoch and what they told in the next one.
         before, left_before, epoch_before: camera -> what it told in the round before, who left with that, and its epoch.
+        odd: whose words say that they heard something else before this round. rows: once there is a dispute about that,
+            camera -> digests of what it heard of each; accused: and in whose words it found that.
+        blame: who is known to lie, and which pairs of whom one does. again: this round is one after which all go back.
+            outcast: this camera itself is one of those that leave.
         silent: camera -> ticks without a word of it. waited: ticks of this round.
         giving_up: whom this camera gives up. consent: camera -> whom that one does, and what it has heard of these.
         ends: camera -> the same, with which it has ended this round. ended: so many agree on that, that it is so.
@@ -92,6 +106,12 @@ class Agreeing:
     before: Mapping[int, bytes] = field(default_factory=dict)
     left_before: frozenset[int] = frozenset()
     epoch_before: int = 0
+    odd: frozenset[int] = frozenset()
+    rows: Rows = field(default_factory=dict)
+    accused: Mapping[int, frozenset[int]] = field(default_factory=dict)
+    blame: Blame = NOBODY_LIES
+    again: bool = False
+    outcast: bool = False
     silent: Mapping[int, int] = field(default_factory=dict)
     waited: int = 0
     giving_up: frozenset[int] = frozenset()
@@ -115,18 +135,22 @@ def agree_start(
     number: int = 0,
     epoch: int = 0,
     patience: Patience = PATIENCE,
+    blame: Blame = NOBODY_LIES,
 ) -> tuple[Agreeing, list[Packet]]:
     """A camera, and what it tells in its first round.
 
     Args:
         number, epoch: of that round, for one that joins others.
+        blame: from groups before.
 
     Raises:
-        ValueError: cameras that are not among 0 to 63, or this one not among them.
+        ValueError: cameras that are not among 0 to 1,023, or this one not among them.
     """
     if camera not in members or min(members) < 0 or max(members) >= MOST_CAMERAS:
         raise ValueError(f"camera {camera} of {list(members)}: expected one of some of 0 to {MOST_CAMERAS - 1}")
-    s = Agreeing(camera, tuple(sorted(members)), number, epoch, own, {camera: own}, patience, epoch_before=epoch)
+    s = Agreeing(
+        camera, tuple(sorted(members)), number, epoch, own, {camera: own}, patience, blame=blame, epoch_before=epoch
+    )
     return _settled(s), _packets(s.others, _tells(s))
 
 
@@ -141,10 +165,9 @@ def agree_next(
     assert state.outcome is not None
     number, newcomers = state.round + 1, newcomers - {*state.others, state.camera}
     members = tuple(sorted({*state.others, state.camera, *newcomers}))
-    epoch = state.epoch
-    if newcomers:
-        epoch = zlib.crc32(_NEW_EPOCH.pack(state.epoch, number, bits_of(newcomers), bits_of(frozenset(members))))
+    epoch = _epoch(state.epoch, number, members, newcomers, state.outcome)
     early = {c: data for c, (of, data) in state.early.items() if c in members and of == epoch}
+    odd = {c for c, (of, _) in state.early.items() if c in members and of != epoch}
     s = Agreeing(
         state.camera,
         members,
@@ -158,11 +181,24 @@ def agree_next(
         before=state.outcome,
         left_before=state.giving_up,
         epoch_before=state.epoch,
+        odd=frozenset(odd),
+        blame=state.blame,
         silent={c: n for c, n in state.silent.items() if c in members},
         refused=state.refused,
     )
     packets = _packets(tuple(c for c in s.others if c not in newcomers), _tells(s))
-    return _settled(s), packets + _packets(tuple(sorted(newcomers)), _welcomes(s))
+    packets += _packets(tuple(sorted(newcomers)), _welcomes(s))
+    s, more = _disputing(s)
+    return _settled(s), packets + more
+
+
+def _epoch(
+    before: int, number: int, members: Sequence[int], newcomers: frozenset[int], told: Mapping[int, bytes]
+) -> int:
+    """Of a round, from that before, and what was told in it."""
+    parts = [_EPOCH.pack(before, number, bits_of(frozenset(members)), bits_of(newcomers))]
+    parts += [part for c in sorted(told) for part in (_TOLD.pack(c, len(told[c])), told[c])]
+    return int.from_bytes(digest(b"".join(parts)), "little")
 
 
 def agree_step(state: Agreeing, inbox: Inbox, *, tick: bool = True) -> tuple[Agreeing, list[Packet]]:
@@ -177,15 +213,25 @@ def agree_step(state: Agreeing, inbox: Inbox, *, tick: bool = True) -> tuple[Agr
         s = replace(s, silent={c: s.silent.get(c, 0) + 1 for c in s.others}, waited=s.waited + 1)
     others, silent, heard, early = set(s.others), dict(s.silent), dict(s.heard), dict(s.early)
     ends, consent, refused, newcomers = dict(s.ends), dict(s.consent), dict(s.refused), set(s.newcomers)
+    odd, rows, accused = set(s.odd), dict(s.rows), dict(s.accused)
     for sender, data in inbox:
         if sender not in others:
             continue
         try:
-            word = read_word(sender, data)
+            word = read_word(sender, data, s.round)
         except ValueError as error:
             refused.setdefault(sender, str(error))
             continue
         ahead = word.round == s.round + 1 and word.kind == TELLS
+        if word.round == s.round and sender in s.before:
+            if word.kind == DISPUTES and (s.outcome is None or s.again):
+                silent[sender] = 0
+                rows[sender], accused[sender] = word.told, word.leaving
+                if s.again:  # it has missed what this camera has heard
+                    out += _packets((sender,), _disputes(s))
+                continue
+            if word.kind == TELLS and word.epoch != s.epoch:
+                odd.add(sender)
         if (word.epoch not in (s.epoch, s.epoch_before) and not ahead) or word.round > s.round + 1:
             # It is in another group, or has gone on without this camera, which was silent for long: no word for it.
             continue
@@ -213,9 +259,14 @@ def agree_step(state: Agreeing, inbox: Inbox, *, tick: bool = True) -> tuple[Agr
         consent=consent,
         refused=refused,
         newcomers=frozenset(newcomers),
+        odd=frozenset(odd),
+        rows=rows,
+        accused=accused,
     )
-    s = _settled(_impatient(_ended(s)))
-    return (s, out + _said_again(s)) if tick else (s, out)
+    s, more = _disputing(_ended(s))
+    s, judged = _judged(_impatient(s))
+    s = _settled(s)
+    return s, out + more + judged + (_said_again(s) if tick else [])
 
 
 def silenced(state: Agreeing, camera: int, ticks: int) -> Agreeing:
@@ -229,6 +280,8 @@ def _said_again(s: Agreeing) -> list[Packet]:
         works = message(WORKS, s.camera, s.round, s.epoch, b"")
         return _packets(s.others, works) if s.waited % AGAIN == 0 else []
     out: list[Packet] = []
+    if s.rows and not s.again:
+        out += _packets(s.others, _disputes(s))
     if s.giving_up and not s.ended:
         gives_up = passed_on(GIVES_UP, s.camera, s.round, s.epoch, s.giving_up, frozenset(), s.heard)
         out += _packets(s.others, gives_up)
@@ -265,6 +318,7 @@ def _impatient(s: Agreeing) -> Agreeing:
     if s.outcome is not None or s.ended:
         return s
     missed = {c for c in s.others if c not in s.heard or (s.giving_up and not _consents(s, c))}
+    missed |= {c for c in s.others if s.rows and not s.again and c not in s.rows}
     silent, long = s.patience
     return replace(s, giving_up=s.giving_up | {c for c in missed if s.silent.get(c, 0) > silent or s.waited > long})
 
@@ -282,6 +336,46 @@ def _settled(s: Agreeing) -> Agreeing:
     passed_on = [s.consent[c].told for c in s.others if c in s.consent and not s.ended]
     told = {c: data for of in passed_on for c, data in of.items() if c in s.giving_up} | dict(s.heard)
     return replace(s, outcome={c: told[c] for c in s.members if c in told})
+
+
+def _disputing(s: Agreeing) -> tuple[Agreeing, list[Packet]]:
+    """Joins a dispute, where there is one: with what this camera has heard."""
+    if s.again or s.outcome is not None or s.ended or not (s.odd or s.rows) or s.camera in s.rows:
+        return s, []
+    row = {c: digest(data) for c, data in s.before.items()}
+    s = replace(s, rows={**s.rows, s.camera: row}, accused={**s.accused, s.camera: s.odd})
+    return s, _packets(s.others, _disputes(s))
+
+
+def _judged(s: Agreeing) -> tuple[Agreeing, list[Packet]]:
+    """Without those that lie, once all that are left have said what they heard: they go back, a round later."""
+    if not s.rows or s.again or s.outcome is not None or s.ended or any(c not in s.rows for c in s.others):
+        return s, []
+    asked = {s.camera, *s.others} & s.before.keys()
+    rows = {c: s.rows[c] for c in sorted(asked)}
+    out, blame = liars(rows, {c: s.accused[c] for c in rows}, s.blame)
+    left = tuple(sorted(asked - out))
+    s = replace(s, blame=blame, again=True, outcast=s.camera in out, odd=frozenset(), newcomers=frozenset())
+    if s.outcast:
+        return replace(s, members=(s.camera,), giving_up=frozenset(), outcome={}), []
+    s = replace(
+        s,
+        members=left,
+        epoch=_epoch(s.epoch_before, s.round, left, frozenset(), {}),
+        own=b"",
+        heard={s.camera: b""},
+        early={},
+        consent={},
+        ends={},
+        giving_up=frozenset(),
+        silent={},
+        waited=0,
+    )
+    return s, _packets(s.others, _tells(s))
+
+
+def _disputes(s: Agreeing) -> bytes:
+    return disputed(s.camera, s.round, s.epoch, s.accused[s.camera], s.rows[s.camera])
 
 
 def _packets(to: tuple[int, ...], data: bytes) -> list[Packet]:

@@ -22,11 +22,23 @@ from sylpose.tracking.joint import Joint
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracking
 
-__all__ = ["Node", "Shots", "track_by_node"]
+__all__ = ["Again", "Node", "Shots", "track_by_node"]
 
 T = TypeVar("T")
 
 NOBODY: frozenset[int] = frozenset()
+
+
+class Again(Exception):
+    """Somebody lied, and not all have heard the same: what was said since they last were alike counts for nothing.
+
+    Attributes:
+        outcast: for this node nothing counts any more, and it has a group to enter.
+    """
+
+    def __init__(self, outcast: bool) -> None:
+        super().__init__("not all have heard the same")
+        self.outcast = outcast
 
 
 class Shots(Protocol):
@@ -99,6 +111,8 @@ class Node:
         heard = self._ask(Tell(own, *self._joining), self.frames)
         assert isinstance(heard, Heard)
         self._heard, self._joining = heard, (NOBODY, b"")
+        if heard.again:
+            raise Again(heard.outcast)
         self.members = tuple(heard.told)
         return heard.told
 
@@ -111,6 +125,14 @@ class Node:
         except ValueError as error:
             self.refused.setdefault(camera, str(error))
             return nothing
+
+    def confirm(self) -> None:
+        """All have heard the same until here.
+
+        Raises:
+            Again: they have not.
+        """
+        self._tell(b"")
 
     # --- a member of a group ------------------------------------------------------------------------------------------
 
@@ -174,39 +196,52 @@ def track_by_node(
     """
     parts = [cast(CameraPart, CameraPart(c, own) if c == node.camera else None) for c, own in enumerate(rig)]
     tracking = Tracking(rig, parts, node, boxes, method=method, features=features, offsets=offsets, seed=seed)
-    wanted, taken_in = 0, -1
+    wanted, taken_in, found = 0, -1, list[TrackedFrame]()
     while True:
-        if enters:
-            entered, enters = node.enter(), False
-            if entered is not None:
-                handover, wanted = entered
+        # What all have heard alike so far.
+        memory = tracking.remembered()
+        try:
+            if enters:
+                entered, enters = node.enter(), False
+                if entered is not None:
+                    handover, wanted = entered
+                    taken_in = wanted
+                    node.since = -1
+                    tracking.take_over(handover, new=True)
+                    memory = tracking.remembered()
+            node.frames = tracking.number
+            rolls = node.call(*shots.newest(wanted))
+            if all(roll.outdone for roll in rolls):
+                enters = True
+                continue
+            newcomers = common(rolls)
+            # Once before each frame: who comes again and again, and never takes part, must not keep the others from it.
+            if newcomers and taken_in != wanted:
                 taken_in = wanted
-                node.since = -1
-                tracking.take_over(handover, new=True)
-        node.frames = tracking.number
-        rolls = node.call(*shots.newest(wanted))
-        if all(roll.outdone for roll in rolls):
-            enters = True
+                knows = packed((tracking.handed_over(), wanted))
+                # All go on with what was sent, in which numbers may be rounded.
+                tracking.take_over(unpacked(knows, (tracking.handed_over(), wanted))[0], new=False)
+                node.take_in(newcomers, knows)
+                continue
+            number = instant_of(rolls)
+            if number == WAITS:
+                continue
+            if number == NO_FRAME:
+                found = tracking.flush()
+            else:
+                frames = shots.frame_set(number, _times(node, shots, rolls, number))
+                found = tracking.step(frames)
+            node.confirm()
+        except Again as again:
+            tracking.go_back(memory)
+            enters = again.outcast
             continue
-        newcomers = common(rolls)
-        # Once before each frame: somebody who comes again and again, and never takes part, must not keep the others from it.
-        if newcomers and taken_in != wanted:
-            taken_in = wanted
-            knows = packed((tracking.handed_over(), wanted))
-            # All go on with what was sent, in which numbers may be rounded.
-            tracking.take_over(unpacked(knows, (tracking.handed_over(), wanted))[0], new=False)
-            node.take_in(newcomers, knows)
-            continue
-        number = instant_of(rolls)
         if number == NO_FRAME:
             break
-        if number == WAITS:
-            continue
-        frames = shots.frame_set(number, _times(node, shots, rolls, number))
         node.since = node.since if node.since >= 0 else frames.index
-        yield from tracking.step(frames)
         wanted = number + 1
-    yield from tracking.flush()
+        yield from found
+    yield from found
 
 
 def _times(node: Node, shots: Shots, rolls: Sequence[Roll], number: int) -> tuple[float | None, ...]:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias
 
 from sylpose.network.agreed import PATIENCE, Agreeing, Patience, agree_next, agree_start, agree_step, silenced
+from sylpose.network.liars import NOBODY_LIES, Blame
 from sylpose.network.words import HELLO, WORKS, Hello, Welcome, kind_of, message, read_hello, read_welcome, said_hello
 from sylpose.paper.distributed.messages import Inbox, Packet
 
@@ -52,11 +53,14 @@ class Enter(NamedTuple):
 
 
 class Heard(NamedTuple):
-    """Everybody has told. newcomers: who wants to be taken in; outdone: whether there is a larger group."""
+    """Everybody has told. newcomers: who wants to be taken in; outdone: whether there is a larger group; again: not all have
+    heard the same, and all go back to where they last were alike; outcast: but for this one, which leaves."""
 
     told: Mapping[int, bytes]
     newcomers: frozenset[int]
     outdone: bool
+    again: bool = False
+    outcast: bool = False
 
 
 class Entered(NamedTuple):
@@ -93,6 +97,7 @@ class Present:
         ticks: it is there; since: those when it began to wait for a group; apart: until which it keeps to its own, where a
             larger one has not taken it in.
         refused: camera -> why a message of it was not read.
+        blame: of those that lie, in groups before.
     """
 
     camera: int
@@ -109,6 +114,7 @@ class Present:
     since: int = 0
     apart: int = 0
     refused: Mapping[int, str] = field(default_factory=dict)
+    blame: Blame = NOBODY_LIES
 
     @property
     def members(self) -> tuple[int, ...]:
@@ -118,8 +124,14 @@ class Present:
 
     @property
     def all_refused(self) -> Mapping[int, str]:
-        """As `refused`, with those that its group did not read."""
-        return self.refused if self.agreeing is None else {**self.refused, **self.agreeing.refused}
+        """As `refused`, with those that its group did not read, and those that lie."""
+        refused = {} if self.agreeing is None else self.agreeing.refused
+        return {**self.refused, **refused, **self.all_blame.sentences()}
+
+    @property
+    def all_blame(self) -> Blame:
+        """As `blame`, with that of its group."""
+        return self.blame if self.agreeing is None else self.agreeing.blame
 
 
 def asked(p: Present, ask: Ask, frames: int) -> tuple[Present, list[Packet]]:
@@ -130,41 +142,50 @@ def asked(p: Present, ask: Ask, frames: int) -> tuple[Present, list[Packet]]:
     """
     p = replace(p, ask=ask, frames=frames)
     if isinstance(ask, Enter):
-        return replace(p, agreeing=None, welcome=None, refused=p.all_refused, since=p.ticks), []
+        p = replace(p, refused=p.all_refused, blame=p.all_blame, since=p.ticks)
+        return replace(p, agreeing=None, welcome=None), []
     if p.agreeing is not None:
         agreeing, packets = agree_next(p.agreeing, ask.own, ask.newcomers, ask.knows)
     elif p.welcome is not None:
         number, epoch, members, _ = p.welcome
         agreeing, packets = agree_start(
-            p.camera, sorted(members), ask.own, number=number, epoch=epoch, patience=p.patience
+            p.camera, sorted(members), ask.own, number=number, epoch=epoch, patience=p.patience, blame=p.blame
         )
     else:
         epoch = zlib.crc32(f"{p.camera} {p.incarnation} {p.ticks}".encode())
-        agreeing, packets = agree_start(p.camera, [p.camera], ask.own, epoch=epoch, patience=p.patience)
+        agreeing, packets = agree_start(p.camera, [p.camera], ask.own, epoch=epoch, patience=p.patience, blame=p.blame)
     return replace(p, agreeing=agreeing, welcome=None), packets
 
 
 def answer(p: Present) -> tuple[Present, Answer | None]:
     """What was asked for, once it is there: all that the others told, or a group."""
     if isinstance(p.ask, Tell) and p.agreeing is not None and p.agreeing.outcome is not None:
-        others = {c: o for c, o in p.outside.items() if c not in p.members}
+        barred = {c for c in p.outside if p.all_blame.bars(c, frozenset(p.members))}
+        others = {c: o for c, o in p.outside.items() if c not in p.members and c not in barred}
         mine = len(p.members), p.frames > 0, -min(p.members)
         outdone = any((o.hello.size, o.hello.frames > 0, -c) > mine for c, o in others.items() if o.hello.size)
-        return replace(p, ask=None), Heard(p.agreeing.outcome, _wanting(others), outdone and p.ticks >= p.apart)
+        again, outcast = p.agreeing.again, p.agreeing.outcast
+        heard = Heard(p.agreeing.outcome, _wanting(p, others), outdone and p.ticks >= p.apart, again, outcast)
+        return replace(p, ask=None), heard
     if isinstance(p.ask, Enter):
         if p.welcome is not None:
             return replace(p, ask=None), Entered(p.welcome.knows, frozenset())
         if p.ticks - p.since > p.wait + p.patience.long and any(o.hello.size for o in p.outside.values()):
             # Somebody in there does not hear it: better apart than nothing, for as long again.
             p = replace(p, apart=p.ticks + p.patience.long)
-            return replace(p, ask=None), Entered(None, _wanting(p.outside))
+            return replace(p, ask=None), Entered(None, _wanting(p, p.outside))
         if _founds(p):
-            return replace(p, ask=None), Entered(None, _wanting(p.outside))
+            return replace(p, ask=None), Entered(None, _wanting(p, p.outside))
     return p, None
 
 
-def _wanting(others: Mapping[int, Other]) -> frozenset[int]:
-    return frozenset(c for c, o in others.items() if not o.hello.size)
+def _wanting(p: Present, others: Mapping[int, Other]) -> frozenset[int]:
+    """Who would be taken in: of two that one of lies, one."""
+    wanting = frozenset[int]()
+    for c in sorted(c for c, o in others.items() if not o.hello.size):
+        if not p.all_blame.bars(c, wanting | frozenset({p.camera, *p.members})):
+            wanting |= {c}
+    return wanting
 
 
 def _founds(p: Present) -> bool:
@@ -187,7 +208,10 @@ def present_step(p: Present, inbox: Inbox, *, tick: bool = True) -> tuple[Presen
     if tick:
         p = replace(p, ticks=p.ticks + 1)
         outside = {c: Other(o.hello, o.silent + 1) for c, o in outside.items() if o.silent < HELLOS * GONE}
+    mine = frozenset({p.camera, *p.members})
     for sender, data in inbox:
+        if p.all_blame.bars(sender, mine):
+            continue
         if kind_of(data) != HELLO:
             words.append((sender, data))
             continue

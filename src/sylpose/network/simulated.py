@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from sylpose.frames import Box, FrameSet
 from sylpose.methods import MODES
 from sylpose.network.agreed import PATIENCE
+from sylpose.network.lies import Lie, liar
 from sylpose.network.node import Node, track_by_node
 from sylpose.network.presence import Answer, Ask, Present, Tell, answer, asked, present_step
 from sylpose.network.roll import NO_FRAME
@@ -123,6 +124,7 @@ def track_by_nodes(
     boxes: Mapping[str, Box] | None = None,
     *,
     disturbances: Disturbances = UNDISTURBED,
+    lies: Mapping[int, Lie] | None = None,
     mode: str = MODES[0],
     smooth: bool = False,
     on_frame: Callable[[int, TrackedFrame], None] | None = None,
@@ -131,7 +133,7 @@ def track_by_nodes(
     """`track`, by cameras each of which sees its own images and hears what the others tell.
 
     Args:
-        disturbances: of the network. Who tells nonsense is not simulated yet.
+        disturbances: of the network. lies: camera -> how it lies (`lies.liar`).
         mode: of the nodes, see `Node`.
         smooth: refine all poses together after the last frame (`smooth_by_node`).
         on_frame: called with a camera and each frame as it says it.
@@ -141,10 +143,11 @@ def track_by_nodes(
         ValueError: as `track`; disturbances that are not simulated.
     """
     if disturbances.nonsense:
-        raise ValueError("disturbances: nodes that tell nonsense are not simulated")
+        raise ValueError("disturbances: what nodes say is garbled by `lies`")
     n = len(rig)
+    liars = {c: liar(lie, c, n, disturbances.seed) for c, lie in (lies or {}).items()}
     # Undisturbed, one node works at a time, and none is a frame ahead: no more than that is held of a recording.
-    recording = Reel(frames, HELD if disturbances == UNDISTURBED else None)
+    recording = Reel(frames, HELD if disturbances == UNDISTURBED and not lies else None)
     smoothed: list[Smoothed | None] = [None] * n
     first = [c for c in range(n) if c not in disturbances.joins]
     found: list[list[TrackedFrame]] = [[] for _ in range(n)]
@@ -175,7 +178,7 @@ def track_by_nodes(
         return _worked(NodeState(present, talk), [])
 
     try:
-        outcome = run([partial(start, c) for c in range(n)], _step, disturbances, MOST_STEPS)
+        outcome = run([partial(start, c) for c in range(n)], _step, disturbances, MOST_STEPS, liars)
     finally:
         for talk in talks:
             talk.end()

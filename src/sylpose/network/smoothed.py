@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sylpose.network.node import Node
+from sylpose.network.node import Again, Node
 from sylpose.rig import Rig
 from sylpose.smoothing.trajectory import Smoothed, Track, smooth
 from sylpose.tracking.records import Sighted, placed
@@ -24,14 +24,26 @@ __all__ = ["smooth_by_node"]
 TOGETHER = 200
 
 
-def smooth_by_node(node: Node, rig: Rig, frames: Sequence[TrackedFrame], **options: Any) -> Smoothed:
+def smooth_by_node(node: Node, rig: Rig, frames: Sequence[TrackedFrame], **options: Any) -> Smoothed | None:
     """`smooth`, of what a node has tracked, the same at all nodes that have tracked the same.
 
     Args:
         node, rig: as in `track_by_node`, after the last frame.
         frames: that it yielded. Those are refined that all nodes have tracked together, since the last of them came.
         options: of `smooth`.
+
+    Returns:
+        None where this node has lied, or one of two of which the others do not know which one did.
     """
+    while True:
+        try:
+            return _smoothed(node, rig, frames, **options)
+        except Again as again:
+            if again.outcast:
+                return None
+
+
+def _smoothed(node: Node, rig: Rig, frames: Sequence[TrackedFrame], **options: Any) -> Smoothed:
     since = max(node.ask(lambda _: node.since, 0))
     tracks = [Track.of(frame) for frame in frames if frame.pose.index >= since]
     radius = next((track.radius for track in reversed(tracks) if track.sightings), 1.0)
@@ -42,6 +54,7 @@ def smooth_by_node(node: Node, rig: Rig, frames: Sequence[TrackedFrame], **optio
         for k, track in enumerate(block):
             sightings = tuple(of[k] for of in of_cameras) if track.sightings else ()
             tracks[start + k] = Track(track.pose, sightings, track.late, track.radius, track.nudges)
+    node.confirm()
     return smooth(tracks, rig, **options)
 
 

@@ -1,5 +1,8 @@
 """What cameras say to each other in agreed rounds, as bytes: a header of 12, then what they tell.
 
+The header's epoch is a digest of all that the sender has heard before the round. So each word says, in no bytes more, that
+all have heard the same until then; or that somebody lies, and then they tell each other digests of what they heard.
+
 Everything is bounded and checked before it is used: what is no message is refused by a sentence.
 """
 
@@ -7,11 +10,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
+from hashlib import blake2b
 from typing import NamedTuple
 
 from sylpose.network.codec import LARGEST
 
 __all__ = [
+    "DISPUTES",
     "ENDED",
     "GIVES_UP",
     "HEADER",
@@ -25,6 +30,8 @@ __all__ = [
     "Welcome",
     "Word",
     "bits_of",
+    "digest",
+    "disputed",
     "kind_of",
     "message",
     "of_bits",
@@ -38,29 +45,30 @@ __all__ = [
 
 
 class Header:
-    """Kind and sender in two bytes, round in six, epoch in four."""
+    """Kind and sender in two bytes, the end of the round's number in two, epoch in eight."""
 
     size = 12
-    _parts = struct.Struct("<HHII")
+    _parts = struct.Struct("<HHQ")
 
     def pack(self, kind: int, sender: int, number: int, epoch: int) -> bytes:
         """As bytes."""
-        return self._parts.pack(kind << 10 | sender, number >> 32, number & 0xFFFFFFFF, epoch)
+        return self._parts.pack(kind << 10 | sender, number & 0xFFFF, epoch)
 
-    def unpack_from(self, data: bytes) -> tuple[int, int, int, int]:
-        """Kind, sender, round, epoch."""
-        both, high, low, epoch = self._parts.unpack_from(data)
-        return both >> 10, both & 0x3FF, high << 32 | low, epoch
+    def unpack_from(self, data: bytes, near: int = 0) -> tuple[int, int, int, int]:
+        """Kind, sender, round, epoch; of the rounds that it may be, the one next to another."""
+        both, low, epoch = self._parts.unpack_from(data)
+        return both >> 10, both & 0x3FF, near + ((low - near + 0x8000) & 0xFFFF) - 0x8000, epoch
 
 
 HEADER = Header()
 # What a camera tells; whom it gives up, and what it has heard of these; that of a round that it has ended; that it is at
-# work; what a newcomer has to know; and, to those that are no members, that there is somebody (derived).
-TELLS, GIVES_UP, ENDED, WORKS, WELCOME, HELLO = range(6)
+# work; what a newcomer has to know; to those that are no members, that there is somebody; and, where words of a round say
+# that cameras heard different things in the one before, digests of what this one heard (derived).
+TELLS, GIVES_UP, ENDED, WORKS, WELCOME, HELLO, DISPUTES = range(7)
 # Bits of those that leave, and of those that something is passed on of; then the number of bytes of each (derived).
 _LEAVING, _SIZE = struct.Struct("<128s128s"), struct.Struct("<I")
-# Bits of the members, before what a newcomer has to know (derived).
-_MEMBERS = struct.Struct("<128s")
+# Round and bits of the members, before what a newcomer has to know (derived).
+_MEMBERS = struct.Struct("<Q128s")
 # How many cameras and frames a camera's group has (derived).
 _GROUP = struct.Struct("<HI")
 MOST_CAMERAS = 1024  # ten bits (derived)
@@ -121,7 +129,7 @@ def passed_on(
 
 def welcomed(camera: int, welcome: Welcome) -> bytes:
     """A newcomer is told what it has to know."""
-    content = _MEMBERS.pack(bits_of(welcome.members)) + welcome.knows
+    content = _MEMBERS.pack(welcome.round, bits_of(welcome.members)) + welcome.knows
     return message(WELCOME, camera, welcome.round, welcome.epoch, content)
 
 
@@ -141,16 +149,29 @@ def of_bits(bits: bytes) -> frozenset[int]:
     return frozenset(c for c in range(number.bit_length()) if number >> c & 1)
 
 
-def read_word(sender: int, data: bytes) -> Word:
+def digest(data: bytes) -> bytes:
+    """Eight bytes: so many that nobody finds another message with the same in the time of a round."""
+    return blake2b(data, digest_size=8).digest()
+
+
+def disputed(camera: int, number: int, epoch: int, odd: frozenset[int], row: Mapping[int, bytes]) -> bytes:
+    """Whose words say that not all have heard the same, and a digest of each that was heard in the round before."""
+    return passed_on(DISPUTES, camera, number, epoch, odd, frozenset(row), row)
+
+
+def read_word(sender: int, data: bytes, near: int = 0) -> Word:
     """A message.
+
+    Args:
+        near: its round is next to this one.
 
     Raises:
         ValueError: why these bytes are no message of that camera.
     """
     if not HEADER.size <= len(data) <= LARGEST + HEADER.size:
         raise ValueError(f"{len(data)} bytes are no message")
-    kind, author, number, epoch = HEADER.unpack_from(data)
-    if author != sender or kind not in (TELLS, GIVES_UP, ENDED, WORKS, WELCOME):
+    kind, author, number, epoch = HEADER.unpack_from(data, near)
+    if author != sender or kind not in (TELLS, GIVES_UP, ENDED, WORKS, WELCOME, DISPUTES):
         raise ValueError("the header is not this camera's")
     content = data[HEADER.size :]
     if kind in (TELLS, WORKS):
@@ -179,8 +200,9 @@ def read_welcome(camera: int, cameras: int, sender: int, data: bytes) -> Welcome
     """A message, if it welcomes a camera of so many."""
     if not HEADER.size + _MEMBERS.size <= len(data) <= LARGEST + HEADER.size:
         return None
-    kind, author, number, epoch = HEADER.unpack_from(data)
-    members = of_bits(_MEMBERS.unpack_from(data, HEADER.size)[0])
+    kind, author, _, epoch = HEADER.unpack_from(data)
+    number, bits = _MEMBERS.unpack_from(data, HEADER.size)
+    members = of_bits(bits)
     if kind != WELCOME or author != sender or sender == camera or not {camera, sender} <= members:
         return None
     if max(members) >= cameras or number >= FAR:

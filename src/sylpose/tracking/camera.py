@@ -348,6 +348,13 @@ class CameraPart:
         """A frame was solved by the anchor's features alone."""
         self.anchor = gone_on(followed, pairs, weights)
 
+    def constants(self) -> list[object]:
+        """What it holds that is never written to."""
+        anchor, watch = self.anchor, self.watch
+        of_anchor = () if anchor is None else (anchor.tracks, anchor.image, anchor.frame.features)
+        features = (self.surroundings, *(frame.features for frame in self.frames.values()))
+        return [self.camera, self.view, watch.backdrop, watch.steady, *of_anchor, *features]
+
     def forget(self) -> None:
         """Everything: the object is looked for anew."""
         self.frames, self.anchor, self.surroundings, self.view = {}, None, Features.none(), (None, None)

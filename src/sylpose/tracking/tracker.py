@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +23,7 @@ from sylpose.tracking.phases import Waiting, finish, next_frame
 from sylpose.tracking.team import Team
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-__all__ = ["Tracker", "Tracking", "track"]
+__all__ = ["Memory", "Tracker", "Tracking", "track"]
 
 
 def track(
@@ -51,6 +53,15 @@ def track(
         for frame_set in frames:
             yield from tracker.step(frame_set)
         yield from tracker.flush()
+
+
+class Memory(NamedTuple):
+    """All that is known between two frames, by all and (attributes of parts) by each camera here."""
+
+    joint: Joint
+    waiting: Sequence[Waiting]
+    number: int
+    parts: list[dict[str, Any]]
 
 
 class Tracking:
@@ -96,6 +107,26 @@ class Tracking:
         number, self.number = self.number, self.number + 1
         self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, number, frames)
         return decided
+
+    def remembered(self) -> Memory:
+        """All that is known by now, the cameras here included."""
+        # What is never written to need not be copied: images, descriptors, calibrations.
+        constants: list[object] = [waiting.frames for waiting in self._waiting]
+        constants += [own for part in self._here() for own in part.constants()]
+        constants += [own.features for waiting in self._waiting for own in waiting.frame.cameras if own is not None]
+        changing = [vars(part) for part in self._here()], list(self._waiting)
+        parts, waiting = copy.deepcopy(changing, {id(constant): constant for constant in constants})
+        return Memory(self._joint, waiting, self.number, parts)
+
+    def go_back(self, memory: Memory) -> None:
+        """To what was known then; a memory serves once."""
+        self._joint, self._waiting, self.number, parts = memory
+        for part, its in zip(self._here(), parts, strict=True):
+            vars(part).update(its)
+
+    def _here(self) -> list[CameraPart]:
+        """The parts of the cameras in this process."""
+        return [part for part in self._team.parts if part is not None]
 
     def handed_over(self) -> Handover:
         """What a camera has to know that is to take part from the next frame on."""

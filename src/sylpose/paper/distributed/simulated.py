@@ -220,8 +220,13 @@ def run(
     step: Callable[[State, Inbox], tuple[State, list[Packet]]],
     disturbances: Disturbances,
     bound: int,
+    liars: Mapping[int, Callable[[bytes, int], bytes]] | None = None,
 ) -> Outcome[State]:
-    """Let cameras make steps, each once a round, until all that live are done, or `bound` after the last start."""
+    """Let cameras make steps, each once a round, until all that live are done, or `bound` after the last start.
+
+    Args:
+        liars: camera -> what becomes of its packets on the way to another.
+    """
     n = len(starts)
     rng = np.random.default_rng(disturbances.seed)
     states: list[State | None] = [None] * n
@@ -253,7 +258,10 @@ def run(
                 kind = disturbances.nonsense.get(c)
                 for k, to in enumerate(packet.to):
                     # Who says the same to all sends it once.
-                    if k == 0 or kind == "two-faced":
+                    if liars is not None and c in liars:
+                        data = liars[c](packet.data, to)
+                        sent[c] += len(data)
+                    elif k == 0 or kind == "two-faced":
                         data = packet.data if kind is None else garbled(kind, packet.data, to, rng)
                         sent[c] += len(data)
                     if rng.random() >= disturbances.loss and not (begin <= now < end and (c in group) != (to in group)):

@@ -1,0 +1,83 @@
+"""Who lies, by what listeners tell each other of what they heard.
+
+Words are not signed. Where one listener alone heard something else of a camera than the others, either was told it or tells
+it: of the two one lies, and both have to go. Where several heard different things, that camera lies; and so does whoever is
+one of two such pairs, which may be years apart.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from itertools import chain
+from typing import NamedTuple, TypeAlias
+
+__all__ = ["NOBODY_LIES", "Blame", "Rows", "liars"]
+
+# Camera -> what it says that it heard of each.
+Rows: TypeAlias = Mapping[int, Mapping[int, bytes]]
+# So many others have to have heard a camera for one of them to be in doubt rather than it (derived).
+LISTENERS = 3
+
+
+class Blame(NamedTuple):
+    """alone: who lies; pairs: of each of these one does."""
+
+    alone: frozenset[int]
+    pairs: frozenset[frozenset[int]]
+
+    def bars(self, camera: int, members: frozenset[int]) -> bool:
+        """Whether a camera may not be with these."""
+        return camera in self.alone or any(camera in pair and pair & members - {camera} for pair in self.pairs)
+
+    def sentences(self) -> dict[int, str]:
+        """Camera -> what is said of it."""
+        said = {c: f"it or camera {o} lies of what it told" for pair in self.pairs for c, o in _both_ways(pair)}
+        return {**said, **dict.fromkeys(self.alone, "it told others something else")}
+
+
+NOBODY_LIES = Blame(frozenset(), frozenset())
+
+
+def _both_ways(pair: frozenset[int]) -> list[tuple[int, int]]:
+    a, b = sorted(pair)
+    return [(a, b), (b, a)]
+
+
+def liars(
+    rows: Rows, accused: Mapping[int, frozenset[int]], blame: Blame = NOBODY_LIES
+) -> tuple[frozenset[int], Blame]:
+    """Who has to go after a dispute, and what is known of who lies by then: the same for all that got the same rows.
+
+    Args:
+        rows: of those that are left.
+        accused: in whose next words these saw that not all have heard the same.
+        blame: from disputes before.
+    """
+    alone, pairs = set[int](), set[frozenset[int]]()
+    for camera in {*rows, *chain(*rows.values())}:
+        # What a camera says of itself is no evidence.
+        heard = {c: row.get(camera, b"") for c, row in rows.items() if c != camera}
+        most = max(Counter(heard.values()).items(), key=lambda kind: kind[::-1], default=(b"", 0))[0]
+        odd = [c for c, data in heard.items() if data != most]
+        if len(odd) == 1 and len(heard) >= LISTENERS:
+            pairs.add(frozenset({camera, odd[0]}))
+        elif odd:
+            alone.add(camera)
+    if not alone and not pairs:
+        # All have heard the same, but somebody's next word said something else.
+        for camera in rows:
+            by = [c for c, others in accused.items() if camera in others and c != camera]
+            if len(by) > 1:
+                alone.add(camera)
+            pairs |= {frozenset({camera, c}) for c in by if len(by) == 1}
+    # Who lies may accuse anybody.
+    every = {pair for pair in pairs | blame.pairs if not pair & alone}
+    while every:
+        camera, count = max(Counter(chain(*every)).items(), key=lambda one: (one[1], -one[0]))
+        if count < 2:
+            break
+        alone.add(camera)
+        every = {pair for pair in every if camera not in pair}
+    out = frozenset(alone).union(*(pair for pair in pairs if pair in every))
+    return out & rows.keys(), Blame(blame.alone | alone, frozenset(every))

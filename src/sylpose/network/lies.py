@@ -1,0 +1,79 @@
+"""What becomes of the words of a node that lies: for the simulated network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from sylpose.landmarks.told import Says
+from sylpose.network.codec import packed, unpacked
+from sylpose.network.words import HEADER, TELLS, kind_of
+from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.matrices import symmetric_of
+
+__all__ = ["Liar", "Lie", "liar"]
+
+Lie = Literal["two-faced", "whispering", "accusing", "stubborn", "false", "heavy", "bent", "nan", "junk"]
+# A node's word as it arrives at another one.
+Liar: TypeAlias = Callable[[bytes, int], bytes]
+
+# A claim so many times too large; how far off a false pose is, radians and of the object's size (choice).
+HEAVY, OFF = 900.0, 0.3
+
+
+def liar(lie: Lie, camera: int, cameras: int, seed: int = 0) -> Liar:
+    """How a camera of so many lies, in well-formed numbers but for the last two.
+
+    Args:
+        lie: "two-faced", another false pose for each listener; "whispering", one for one listener alone, the others are told
+            the truth; "accusing", the truth, with a digest of something else; "stubborn", the same false pose, told all;
+            "false", another one in each round; "heavy", 900 times the information, of a false pose; "bent", an information
+            that is none; "nan", no numbers; "junk", other bytes.
+    """
+    rng = np.random.default_rng([seed, camera])
+    victim = (camera + 1) % cameras
+
+    def lies(data: bytes, to: int) -> bytes:
+        if kind_of(data) != TELLS or (lie == "whispering" and to != victim):
+            return data
+        kind, sender, number, epoch = HEADER.unpack_from(data)
+        if lie == "accusing":
+            return HEADER.pack(kind, sender, number, epoch ^ 1) + data[HEADER.size :]
+        says = _says_of(data[HEADER.size :])
+        if not says:
+            return data
+        if lie == "junk":
+            return data[: HEADER.size] + rng.bytes(len(data) - HEADER.size)
+        story = {"two-faced": [seed, camera, to], "false": [seed, camera, number]}.get(lie, [seed, camera])
+        off = OFF * np.random.default_rng(story).standard_normal(6)
+        return data[: HEADER.size] + packed(tuple(_false(one, lie, off) for one in says))
+
+    return lies
+
+
+def _says_of(content: bytes) -> tuple[Says, ...]:
+    """What a camera says of several poses in a round of the alignment; nothing of another message."""
+    for count in range(1, 40):
+        try:
+            return unpacked(content, (Says(np.zeros(27), 0.0, np.nan),) * count)
+        except ValueError:
+            continue
+    return ()
+
+
+def _false(says: Says, lie: Lie, off: FloatArray) -> Says:
+    upper = says.upper.copy()
+    information = symmetric_of(upper[:21])
+    if lie == "nan":
+        upper[:] = np.nan
+    elif lie == "bent":
+        upper[:21] *= -1.0
+    else:
+        # Where it says the pose is, it would be at rest.
+        scale = np.sqrt(np.trace(information[:3, :3]) / max(np.trace(information[3:, 3:]), 1e-300))
+        upper[21:] = -information @ (off * np.repeat([1.0, scale], 3))
+    if lie == "heavy":
+        return Says(upper * HEAVY, says.mass * HEAVY, says.level_px)
+    return Says(upper, says.mass, says.level_px)
