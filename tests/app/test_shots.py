@@ -125,12 +125,12 @@ def roll(newest: int, *newcomers: int) -> Roll:
 
 
 def test_the_next_frame_is_one_that_half_of_the_cameras_have() -> None:
-    assert instant_of([roll(7), roll(7), roll(7)]) == 7
-    assert instant_of([roll(7), roll(8), roll(8)]) == 8
-    assert instant_of([roll(7), roll(7), roll(8), roll(NO_FRAME)]) == 7
-    assert instant_of([roll(WAITS), roll(8), roll(NO_FRAME)]) == 8
-    assert instant_of([roll(WAITS), roll(NO_FRAME)]) == WAITS
-    assert instant_of([roll(NO_FRAME), roll(NO_FRAME)]) == NO_FRAME
+    assert instant_of([roll(7), roll(7), roll(7)], 7) == 7
+    assert instant_of([roll(7), roll(8), roll(8)], 7) == 8
+    assert instant_of([roll(7), roll(7), roll(8), roll(NO_FRAME)], 7) == 7
+    assert instant_of([roll(WAITS), roll(8), roll(NO_FRAME)], 7) == 8
+    assert instant_of([roll(WAITS), roll(NO_FRAME)], 7) == WAITS
+    assert instant_of([roll(NO_FRAME), roll(NO_FRAME)], 7) == NO_FRAME
 
 
 def test_only_whom_all_hear_is_taken_in() -> None:

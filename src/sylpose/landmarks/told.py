@@ -11,7 +11,7 @@ import numpy as np
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import symmetric_of, upper_of
 
-__all__ = ["Exchange", "Judges", "Says"]
+__all__ = ["DIAGONAL", "Exchange", "Judges", "Says"]
 
 # Where the diagonal of a hessian is in its upper triangle, and by which share it is larger in `Says.coarse`: 24 bits round
 # off less than a tenth of that (derived).

@@ -13,26 +13,27 @@ from sylpose.network.words import HEADER, TELLS, kind_of
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import symmetric_of
 
-__all__ = ["Liar", "Lie", "liar"]
+__all__ = ["Liar", "Lie", "false_content", "liar"]
 
-Lie = Literal["two-faced", "whispering", "accusing", "stubborn", "false", "heavy", "bent", "nan", "junk"]
+Lie = Literal["two-faced", "whispering", "accusing", "stubborn", "false", "heavy", "bent", "nan", "junk", "flipped"]
 # A node's word as it arrives at another one.
 Liar: TypeAlias = Callable[[bytes, int], bytes]
 
 # A claim so many times too large; how far off a false pose is, radians and of the object's size (choice).
 HEAVY, OFF = 900.0, 0.3
+# Bytes that are others (choice).
+FLIPPED = 2
+# From which round on a camera accuses the others (choice).
+ACCUSES = 40
 
 
-def liar(lie: Lie, camera: int, cameras: int, seed: int = 0) -> Liar:
-    """How a camera of so many lies, in well-formed numbers but for the last two.
+def liar(lie: Lie, camera: int, cameras: int, seed: int = 0) -> Liar | None:
+    """How a camera of so many tells its listeners different things; None where it tells all the same (`false_content`).
 
     Args:
         lie: "two-faced", another false pose for each listener; "whispering", one for one listener alone, the others are told
-            the truth; "accusing", the truth, with a digest of something else; "stubborn", the same false pose, told all;
-            "false", another one in each round; "heavy", 900 times the information, of a false pose; "bent", an information
-            that is none; "nan", no numbers; "junk", other bytes.
+            the truth; "accusing", the truth, with a digest of something else.
     """
-    rng = np.random.default_rng([seed, camera])
     victim = (camera + 1) % cameras
 
     def lies(data: bytes, to: int) -> bytes:
@@ -40,17 +41,38 @@ def liar(lie: Lie, camera: int, cameras: int, seed: int = 0) -> Liar:
             return data
         kind, sender, number, epoch = HEADER.unpack_from(data)
         if lie == "accusing":
-            return HEADER.pack(kind, sender, number, epoch ^ 1) + data[HEADER.size :]
-        says = _says_of(data[HEADER.size :])
-        if not says:
-            return data
-        if lie == "junk":
-            return data[: HEADER.size] + rng.bytes(len(data) - HEADER.size)
-        story = {"two-faced": [seed, camera, to], "false": [seed, camera, number]}.get(lie, [seed, camera])
-        off = OFF * np.random.default_rng(story).standard_normal(6)
-        return data[: HEADER.size] + packed(tuple(_false(one, lie, off) for one in says))
+            return HEADER.pack(kind, sender, number, epoch ^ (number > ACCUSES)) + data[HEADER.size :]
+        return data[: HEADER.size] + _changed(data[HEADER.size :], lie, np.random.default_rng([seed, camera, to]))
 
-    return lies
+    return lies if lie in ("two-faced", "whispering", "accusing") else None
+
+
+def false_content(lie: Lie, camera: int, seed: int = 0) -> Callable[[bytes], bytes]:
+    """What a camera tells in place of the truth, and goes on with itself.
+
+    Args:
+        lie: "stubborn", always the same false pose; "false", another one in each round; "heavy", 900 times the information,
+            of a false pose; "bent", an information that is none; "nan", no numbers; "junk", other bytes; "flipped", some
+            bytes of any message are others.
+    """
+    rng, anew = np.random.default_rng([seed, camera]), lie in ("false", "flipped")
+    return lambda content: _changed(content, lie, rng if anew else np.random.default_rng([seed, camera]))
+
+
+def _changed(content: bytes, lie: Lie, rng: np.random.Generator) -> bytes:
+    """Of a round of the alignment; another message stays, unless bytes are flipped."""
+    if lie == "flipped":
+        data = np.frombuffer(content, np.uint8).copy()
+        if len(data):
+            data[rng.integers(len(data), size=FLIPPED)] = rng.integers(256, size=FLIPPED)
+        return data.tobytes()
+    says = _says_of(content)
+    if not says:
+        return content
+    if lie == "junk":
+        return rng.bytes(len(content))
+    off = OFF * rng.standard_normal(6)
+    return packed(tuple(_false(one, lie, off) for one in says))
 
 
 def _says_of(content: bytes) -> tuple[Says, ...]:

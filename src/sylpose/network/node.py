@@ -14,6 +14,7 @@ from sylpose.methods import FEATURES, METHODS, MODES
 from sylpose.network.codec import packed, unpacked
 from sylpose.network.presence import Answer, Ask, Enter, Heard, Tell
 from sylpose.network.roll import ABSENT, NO_FRAME, WAITS, Roll, common, instant_of
+from sylpose.network.sound import objection
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.crew import Alignment
@@ -27,6 +28,8 @@ __all__ = ["Again", "Node", "Shots", "track_by_node"]
 T = TypeVar("T")
 
 NOBODY: frozenset[int] = frozenset()
+# Cameras' time stamps of one instant are less apart, seconds (choice: no camera waits so long for the others).
+APART = 1.0
 
 
 class Again(Exception):
@@ -121,10 +124,14 @@ class Node:
         if data is None:
             return nothing
         try:
-            return unpacked(data, nothing)
+            told = unpacked(data, nothing)
+            why = objection(told, camera)
         except ValueError as error:
-            self.refused.setdefault(camera, str(error))
-            return nothing
+            why = str(error)
+        if why is None:
+            return told
+        self.refused.setdefault(camera, why)
+        return nothing
 
     def confirm(self) -> None:
         """All have heard the same until here.
@@ -223,7 +230,7 @@ def track_by_node(
                 tracking.take_over(unpacked(knows, (tracking.handed_over(), wanted))[0], new=False)
                 node.take_in(newcomers, knows)
                 continue
-            number = instant_of(rolls)
+            number = instant_of(rolls, wanted)
             if number == WAITS:
                 continue
             if number == NO_FRAME:
@@ -252,5 +259,11 @@ def _times(node: Node, shots: Shots, rolls: Sequence[Roll], number: int) -> tupl
         told = node.ask(lambda _: np.nan if own is None else own, np.nan)
         by_camera = {c: told[c] for c in node.members}
     blind = {c for c, roll in zip(node.members, rolls, strict=True) if roll.newest < 0}
-    times = {c: time for c, time in by_camera.items() if not np.isnan(time) and c not in blind}
+    times = {c: time for c, time in by_camera.items() if np.isfinite(time) and c not in blind}
+    middle = float(np.median(list(times.values()))) if times else 0.0
+    for c, time in list(times.items()):
+        if abs(time - middle) > APART:
+            off = f"its clock is {abs(time - middle):.3g} s off the others'"
+            node.refused.setdefault(c, f"{off}: its time stamps are not used")
+            del times[c]
     return tuple(times.get(c) for c in range(node.cameras))

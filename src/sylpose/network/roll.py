@@ -35,11 +35,13 @@ class Roll:
 ABSENT = Roll(NO_FRAME, np.nan, (), False)
 
 
-def instant_of(rolls: Sequence[Roll]) -> int:
-    """The frame that is next: the newest that half of those have that have any; `WAITS` where nobody has one now, and
-    `NO_FRAME` where nobody will."""
-    newest = sorted(roll.newest for roll in rolls if roll.newest >= 0)
-    return newest[(len(newest) - 1) // 2] if newest else min(roll.newest for roll in rolls)
+def instant_of(rolls: Sequence[Roll], wanted: int) -> int:
+    """The frame that is next: the newest that half of those have that have any from the `wanted` one on; `WAITS` where
+    nobody has one now, and `NO_FRAME` where nobody will."""
+    newest = sorted(roll.newest for roll in rolls if roll.newest >= wanted)
+    if newest:
+        return newest[(len(newest) - 1) // 2]
+    return WAITS if any(roll.newest == WAITS for roll in rolls) else NO_FRAME
 
 
 def common(rolls: Sequence[Roll]) -> frozenset[int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 from sylpose.frames import Box, FrameSet
 from sylpose.methods import MODES
 from sylpose.network.agreed import PATIENCE
-from sylpose.network.lies import Lie, liar
+from sylpose.network.lies import Lie, false_content, liar
 from sylpose.network.node import Node, track_by_node
 from sylpose.network.presence import Answer, Ask, Present, Tell, answer, asked, present_step
 from sylpose.network.roll import NO_FRAME
@@ -93,7 +94,12 @@ class Reel:
         return True
 
     def __getitem__(self, number: int) -> FrameSet:
-        return self._held[number]
+        """A frame; of one that there is not, somebody says that he has it, and nobody here has an image."""
+        if self.has(number):
+            return self._held[number]
+        last = self._held[self._read - 1]
+        nothing = (None,) * len(last.images)
+        return replace(last, index=number, time=last.time + number - last.index, images=nothing, masks=nothing)
 
 
 class Recorded:
@@ -133,7 +139,7 @@ def track_by_nodes(
     """`track`, by cameras each of which sees its own images and hears what the others tell.
 
     Args:
-        disturbances: of the network. lies: camera -> how it lies (`lies.liar`).
+        disturbances: of the network. lies: camera -> how it lies (`network.lies`).
         mode: of the nodes, see `Node`.
         smooth: refine all poses together after the last frame (`smooth_by_node`).
         on_frame: called with a camera and each frame as it says it.
@@ -145,7 +151,8 @@ def track_by_nodes(
     if disturbances.nonsense:
         raise ValueError("disturbances: what nodes say is garbled by `lies`")
     n = len(rig)
-    liars = {c: liar(lie, c, n, disturbances.seed) for c, lie in (lies or {}).items()}
+    lies = lies or {}
+    liars = {c: of for c, lie in lies.items() if (of := liar(lie, c, n, disturbances.seed)) is not None}
     # Undisturbed, one node works at a time, and none is a frame ahead: no more than that is held of a recording.
     recording = Reel(frames, HELD if disturbances == UNDISTURBED and not lies else None)
     smoothed: list[Smoothed | None] = [None] * n
@@ -160,16 +167,20 @@ def track_by_nodes(
         begins = starts[c] == 1 and c in first
 
         def track(ask: Callable[[Ask, int], Answer]) -> None:
+            if c in lies and c not in liars:
+                ask = _lying(ask, false_content(lies[c], c, disturbances.seed))
             node = Node(c, n, ask, mode)
             node.refused = refused[c]
             shots = Recorded(c, recording)
             # As they come: what a node that dies has said by then is kept.
-            for frame in track_by_node(node, rig, shots, boxes, enters=not begins, **options):
-                found[c].append(frame)
-                if on_frame is not None:
-                    on_frame(c, frame)
-            if smooth:
-                smoothed[c] = smooth_by_node(node, rig, found[c])
+            # Who tells nonsense and hears it himself may break; the others must not.
+            with suppress(Exception) if c in lies else nullcontext():
+                for frame in track_by_node(node, rig, shots, boxes, enters=not begins, **options):
+                    found[c].append(frame)
+                    if on_frame is not None:
+                        on_frame(c, frame)
+                if smooth:
+                    smoothed[c] = smooth_by_node(node, rig, found[c])
 
         talk = Talk(track)
         talks.append(talk)
@@ -193,6 +204,10 @@ def track_by_nodes(
         outcome.received,
         smoothed,
     )
+
+
+def _lying(ask: Callable[[Ask, int], Answer], false: Callable[[bytes], bytes]) -> Callable[[Ask, int], Answer]:
+    return lambda said, frames: ask(said._replace(own=false(said.own)) if isinstance(said, Tell) else said, frames)
 
 
 def _step(state: NodeState, inbox: Inbox) -> tuple[NodeState, list[Packet]]:

@@ -241,7 +241,8 @@ def covariance_with_references(
     shares: dict[int, float] = {}
     for a in agreed:
         for number, weight in zip(a.references, a.weights, strict=True):
-            shares[number] = shares.get(number, 0.0) + weight
+            if number in known:  # who tells of another one is wrong
+                shares[number] = shares.get(number, 0.0) + weight
     total, inherited = max(sum(shares.values()), 1e-12), np.zeros((6, 6))
     for number, weight in shares.items():
         # An error of the reference's pose, in world axes, turns with the object.

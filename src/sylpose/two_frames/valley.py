@@ -112,7 +112,10 @@ def less_certain(information: FloatArray, columns: FloatArray) -> FloatArray:
         return information
     known = information @ columns
     inner = np.eye(columns.shape[1]) + columns.T @ known
-    less = information - known @ np.linalg.solve(inner, known.T)
+    try:
+        less = information - known @ np.linalg.solve(inner, known.T)
+    except np.linalg.LinAlgError:  # grown beyond all numbers: nothing is known
+        return np.zeros_like(information)
     return np.asarray(0.5 * (less + less.T))
 
 
