@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sylpose.network.agreed import PATIENCE, Agreeing, agree_next, agree_start, agree_step
-from sylpose.network.words import GIVES_UP, HEADER, bits_of
+from sylpose.network.words import DISPUTES, GIVES_UP, HEADER, RELAYS, TELLS, bits_of, kind_of
 from sylpose.paper.distributed.messages import Packet
 
 ROUNDS = 12
@@ -91,6 +91,86 @@ def test_all_that_live_hear_the_same(network: Network) -> None:
         assert after.keys() <= before.keys()
 
 
+class WithLiar(Network):
+    """One of them tells some listeners something else, or that it has heard something else, now and then."""
+
+    def __init__(
+        self, n: int, seed: int, loss: float, delay: int, liar: int, often: float, kinds: tuple[int, ...]
+    ) -> None:
+        super().__init__(n, seed, loss, delay, {})
+        self.liar, self.often, self.kinds = liar, often, kinds
+        self.false, self.again = 0.5, [0] * n
+
+    def through(self, c: int) -> bool:
+        return c == self.liar or self.outcast(c) or super().through(c)
+
+    def outcast(self, c: int) -> bool:
+        state = self.states[c]
+        return state is not None and state.outcast
+
+    def step(self, c: int, inbox: list[tuple[int, bytes]]) -> None:
+        if self.outcast(c):
+            return
+        state = self.states[c]
+        s, packets = agree_start(c, range(self.n), word(c, 0)) if state is None else agree_step(state, inbox)
+        self.send(c, packets)
+        while s.outcome is not None and len(self.outcomes[c]) < ROUNDS and not s.outcast:
+            if s.again:
+                # The last word of each counts for nothing: it is told once more.
+                self.again[c] += 1
+                self.outcomes[c] = self.outcomes[c][:-1]
+            else:
+                self.outcomes[c].append(dict(s.outcome))
+            if len(self.outcomes[c]) < ROUNDS:
+                s, packets = agree_next(s, word(c, len(self.outcomes[c])))
+                self.send(c, packets)
+        self.states[c] = s
+
+    def send(self, c: int, packets: list[Packet]) -> None:
+        for packet in packets:
+            for to in packet.to:
+                data = packet.data
+                if c == self.liar and kind_of(data) in self.kinds and self.rng.random() < self.often:
+                    at = -1 if self.rng.random() < self.false else HEADER.size - 1
+                    data = data[:at] + bytes([data[at] ^ 1]) + data[at:][1:]
+                super().send(c, [Packet((to,), data)])
+
+
+@settings(max_examples=150)
+@given(data=st.data())
+def test_a_liar_is_put_out_and_the_others_hear_the_same(data: st.DataObject) -> None:
+    n = data.draw(st.integers(4, 7))
+    liar, often = data.draw(st.integers(0, n - 1)), data.draw(st.sampled_from([0.02, 0.2, 1.0]))
+    kinds = data.draw(st.sampled_from([(TELLS,), (TELLS, DISPUTES), (TELLS, DISPUTES, RELAYS)]))
+    loss, delay = data.draw(st.sampled_from([(0.0, 0), (0.1, 1), (0.2, 3)]))
+    network = WithLiar(n, data.draw(st.integers(0, 10**6)), loss, delay, liar, often, kinds)
+    network.run()
+    live = [c for c in range(n) if c != liar and not network.outcast(c)]
+    assert len(live) >= n - 2
+    states = [s for c in live if (s := network.states[c]) is not None]
+    for s in states:
+        assert s.blame.alone <= {liar}
+        assert all(liar in pair for pair in s.blame.pairs)
+    first, *others = (network.outcomes[c] for c in live)
+    assert len(first) == ROUNDS
+    for other in others:
+        # Of the last round nobody has told yet that all have heard the same.
+        assert other[:-1] == first[:-1]
+    for number, outcome in enumerate(first[:-1]):
+        assert all(told == word(c, number) for c, told in outcome.items() if c != liar)
+        assert set(live) <= outcome.keys()
+
+
+def test_two_faced_from_the_start_is_noticed_in_the_next_round() -> None:
+    network = WithLiar(5, 1, 0.0, 0, 2, 0.5, (TELLS,))
+    network.false = 1.0  # what it tells, and not what it has heard
+    network.run()
+    assert network.again == [1, 1, 0, 1, 1]
+    # The round before is told again; that in which it is found out, two of the dispute and one to go back.
+    assert network.now == ROUNDS + 1 + 5
+    assert all(s is not None and s.blame.alone == {2} for c, s in enumerate(network.states) if c != 2)
+
+
 def test_without_losses_a_round_is_a_step() -> None:
     network = Network(4, 0, 0.0, 0, {})
     network.run()
@@ -128,7 +208,7 @@ def test_one_camera_alone_excludes_nobody() -> None:
         (b"", "0 bytes are no message"),
         (b"1234567", "7 bytes are no message"),
         (HEADER.pack(0, 2, 0, 0), "the header is not this camera's"),
-        (HEADER.pack(7, 1, 0, 0), "the header is not this camera's"),
+        (HEADER.pack(9, 1, 0, 0), "the header is not this camera's"),
         (HEADER.pack(1, 1, 0, 0) + b"x", "it does not say who leaves"),
         (HEADER.pack(1, 1, 0, 0) + bits_of(frozenset({1})) + bytes(128), "it gives itself up"),
         (HEADER.pack(1, 1, 0, 0) + bytes(128) + bits_of(frozenset({2})) + b"\xff\xff", "what it passes on is cut off"),

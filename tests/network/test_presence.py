@@ -17,6 +17,7 @@ from sylpose.network.words import (
     Hello,
     Welcome,
     bits_of,
+    entered,
     kind_of,
     read_welcome,
     said_hello,
@@ -66,13 +67,13 @@ def test_who_is_not_taken_in_goes_on_apart_for_a_while() -> None:
 def test_a_node_that_was_welcomed_says_that_it_is_at_work() -> None:
     """Until it has learnt what it was told: else it would be given up as silent."""
     welcome = welcomed(1, Welcome(17, 5, frozenset({0, 1, 2}), b"all"))
-    p, entered = answer(stepped(alone(), 1, [(1, welcome)]))
-    assert entered == Entered(b"all", frozenset())
+    p, found = answer(stepped(alone(), 1, [(1, welcome)]))
+    assert found == Entered(b"all", frozenset())
     _, packets = present_step(p, [])
     assert [(packet.to, kind_of(packet.data)) for packet in packets] == [((1, 2), WORKS)]
     agreeing = asked(p, Tell(b"x"), 3)[0].agreeing
     assert agreeing is not None
-    assert (agreeing.round, agreeing.epoch, agreeing.members) == (17, 5, (0, 1, 2))
+    assert (agreeing.round, agreeing.epoch, agreeing.members) == (17, entered(5, b"all"), (0, 1, 2))
 
 
 @pytest.mark.parametrize(

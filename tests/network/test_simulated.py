@@ -13,6 +13,7 @@ from benchmarks.nodes import difference
 from sylpose.methods import MODES
 from sylpose.network import simulated
 from sylpose.network.agreed import PATIENCE
+from sylpose.network.lies import Lie
 from sylpose.network.node import Node
 from sylpose.network.presence import Ask, Heard, Tell
 from sylpose.network.simulated import Outcome, track_by_nodes
@@ -234,8 +235,65 @@ def test_a_node_takes_what_means_nothing_for_nothing_and_names_who_said_it() -> 
     assert node.refused[1].startswith("no message")
 
 
+@pytest.fixture(scope="module")
+def four() -> Clip:
+    return Clip.render(demo_scene(frames=6, turn_deg=18, size=SIZE, n_cameras=4, seed=2))
+
+
+@pytest.mark.parametrize(
+    ("lie", "mode", "loss", "said"),
+    [
+        ("two-faced", "exact", 0.0, "it told others something else"),
+        ("two-faced", "economical", 0.1, "it told others something else"),
+        ("accusing", "exact", 0.0, "it told others something else"),
+        ("whispering", "economical", 0.0, "it or camera 2 lies of what it told"),
+        ("heavy", "economical", 0.0, None),
+        ("bent", "economical", 0.0, "what it says of the pose is no information"),
+    ],
+)
+def test_the_others_go_on_beside_a_node_that_lies(
+    four: Clip, lie: Lie, mode: str, loss: float, said: str | None
+) -> None:
+    """Alike, and about as well as if it had not been there; what was said before it was found out is no frame's."""
+    disturbances = Disturbances(loss=loss, seed=1)
+    outcome = track_by_nodes(four.frames(), four.rig, four.boxes, lies={1: lie}, mode=mode, disturbances=disturbances)
+    good = [0, 3] if lie == "whispering" else [0, 2, 3]
+    assert_agreed(outcome, good)
+    found = outcome.frames[good[0]]
+    assert [f.pose.index for f in found] == list(range(6))
+    assert {f.pose.status for f in found[1:]} == {FrameStatus.TRACKED}
+    alone = [1, 2] if lie == "whispering" else [1]
+    without = [
+        replace(f, images=tuple(None if c in alone else i for c, i in enumerate(f.images))) for f in four.frames()
+    ]
+    was = np.sqrt(np.nanmean(errors(list(track(without, four.rig, four.boxes)), four.truth) ** 2, axis=0))
+    assert (np.sqrt(np.nanmean(errors(found, four.truth) ** 2, axis=0)) < 1.5 * was).all()
+    for c in good:
+        assert outcome.refused[c].get(1) == said
+        assert outcome.refused[c].keys() <= {1, 2} if lie == "whispering" else {1}
+
+
+@pytest.mark.parametrize("seed", [1, 5, 8, 11])
+def test_a_node_whose_bytes_flip_harms_nobody(four: Clip, seed: int) -> None:
+    boxes = four.boxes if seed % 2 else None
+    outcome = track_by_nodes(
+        four.frames(),
+        four.rig,
+        boxes,
+        lies={seed % 4: "flipped"},
+        mode=MODES[seed % 2],
+        disturbances=Disturbances(seed=seed),
+    )
+    good = [c for c in range(4) if c != seed % 4]
+    assert_agreed(outcome, good)
+    found = outcome.frames[good[0]]
+    assert len(found) >= 6
+    assert sum(f.pose.measured for f in found) >= 4
+    assert np.nanmax(errors(found[:6], four.truth)[:, 0]) < 1.0
+
+
 def test_what_is_not_simulated_is_refused(clip: Clip) -> None:
-    with pytest.raises(ValueError, match="nodes that tell nonsense are not simulated"):
+    with pytest.raises(ValueError, match="what nodes say is garbled by `lies`"):
         track_by_nodes(clip.frames(), clip.rig, disturbances=Disturbances(nonsense={1: "two-faced"}))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import weakref
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -354,6 +355,37 @@ def test_another_run_changes_nothing(clip: Clip, tracked: Sequence[TrackedFrame]
 
 
 # --- uncertainty
+
+
+@pytest.mark.parametrize("with_boxes", [True, False])
+@pytest.mark.parametrize("features", ["klt", "sift"])
+def test_going_back_leaves_no_trace(clip: Clip, with_boxes: bool, features: str) -> None:
+    """What a frame taught is forgotten, whichever: its answer and all later ones are those of who never saw it before."""
+    boxes, frames = clip.boxes if with_boxes else None, clip.frames()[:6]
+    with Tracker(clip.rig, boxes, features=features, workers=1) as tracker:
+        plain = [f for frame in frames for f in tracker.step(frame)]
+    with Tracker(clip.rig, boxes, features=features, workers=1) as tracker:
+        found = []
+        for k, frame in enumerate(frames):
+            memory = tracker.remembered()
+            tracker.step(replace(frame, images=frame.images[::-1]))  # other images, and then the same
+            tracker.go_back(memory)
+            memory = tracker.remembered()
+            tracker.step(frame)
+            for later in frames[k + 1 : k + 3]:
+                tracker.step(later)
+            tracker.go_back(memory)
+            found += tracker.step(frame)
+    assert len(found) == len(plain) > 2
+    for one, other in zip(found, plain, strict=True):
+        assert one.pose.status is other.pose.status
+        np.testing.assert_array_equal(one.pose.covariance, other.pose.covariance)
+        if other.pose.world_from_object is not None:
+            assert one.pose.world_from_object is not None
+            a, b = one.pose.world_from_object.as_matrix(), other.pose.world_from_object.as_matrix()
+            np.testing.assert_array_equal(a, b)
+        for mine, its in zip(one.sightings, other.sightings, strict=True):
+            np.testing.assert_array_equal(mine.place, its.place)
 
 
 def test_uncertainty_grows_and_covers_the_error(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:

@@ -25,9 +25,9 @@ DISAGREEMENT = 6.0
 # From so many times that on it is something else than chance (chi-squared: once in 160 times).
 FAR_OFF = 3.0
 DOUBT_ROUNDS = 8
-# At first no camera says more of the rotation than so many times the middle one (choice: a lens of ten times the focal
-# length).
-HEAVIER = 100.0
+# A camera that claims to know so many times as much of the rotation as the middle one is doubted the more for that where it
+# disagrees (choice: more than most rigs' cameras differ by).
+HEAVIER = 10.0
 # No step turns further than this, radians (choice).
 MAX_TURN = 0.5
 # Converged when the step is a twentieth of its own standard deviation: what is left is not worth a round (choice).
@@ -115,9 +115,12 @@ def doubt_cameras(reduced: FloatArray, doubt: FloatArray) -> None:
 
     What one says weighs less in what the others are compared with the more it is doubted, so the odd one is found.
     """
-    found, voices = np.empty(len(doubt)), 0
+    found, turns, voices = np.empty(len(doubt)), np.empty(len(doubt)), 0
     for c in range(len(doubt)):
-        voices += np.trace(reduced[c, :, :6]) > 0.0
+        if np.trace(reduced[c, :, :6]) > 0.0:
+            turns[voices] = reduced[c, 0, 0] + reduced[c, 1, 1] + reduced[c, 2, 2]
+            voices += 1
+    sure = HEAVIER * float(np.median(turns[:voices])) if voices > 0 else 0.0
     for _ in range(DOUBT_ROUNDS):
         disagreement(reduced, doubt, found)
         for c in range(len(doubt)):
@@ -126,6 +129,8 @@ def doubt_cameras(reduced: FloatArray, doubt: FloatArray) -> None:
                 # Beyond what chance explains the pull of a camera falls with its disagreement instead of levelling off.
                 # Of two, nobody can tell which one is right.
                 excess *= max(1.0, excess / FAR_OFF)
+                if excess > FAR_OFF and sure > 0.0:
+                    excess *= max(1.0, (reduced[c, 0, 0] + reduced[c, 1, 1] + reduced[c, 2, 2]) / sure)
             doubt[c] = np.sqrt(doubt[c] * excess)
 
 
@@ -174,15 +179,10 @@ def joint_step(
     n, first = len(mass), len(schedule)
     settling = count <= first + SETTLING_ROUNDS
     if count == 1 and (mass > 0.0).any():
-        # At first all have about the same say, however many matches they have, and however sure they are.
-        middle, turns = float(np.median(mass[mass > 0.0])), np.empty(n)
-        for c in range(n):
-            turns[c] = reduced[c, 0, 0] + reduced[c, 1, 1] + reduced[c, 2, 2]
-        sure = HEAVIER * float(np.median(turns[mass > 0.0]))
+        # At first all have about the same say, however many matches they have.
+        middle = float(np.median(mass[mass > 0.0]))
         for c in range(n):
             at.doubt[c] = max(at.doubt[c], mass[c] / middle)
-            if sure > 0.0:
-                at.doubt[c] = max(at.doubt[c], turns[c] / sure)
     if settling:
         doubt_cameras(reduced, at.doubt)
     factor, right, step = np.empty((6, 6)), np.zeros(6), at.step

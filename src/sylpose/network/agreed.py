@@ -25,24 +25,24 @@ digests and only where something is wrong.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from sylpose.network.liars import NOBODY_LIES, Blame, Rows, liars
+from sylpose.network.liars import NOBODY_LIES, Blame, claim, verdict
 from sylpose.network.words import (
     DISPUTES,
     ENDED,
     GIVES_UP,
     MOST_CAMERAS,
+    RELAYS,
     TELLS,
     WORKS,
     Welcome,
     Word,
-    bits_of,
     digest,
-    disputed,
+    entered,
+    following,
     message,
     passed_on,
     read_word,
@@ -52,8 +52,6 @@ from sylpose.paper.distributed.messages import Inbox, Packet
 
 __all__ = ["PATIENCE", "Agreeing", "Patience", "agree_next", "agree_start", "agree_step", "silenced"]
 
-# What makes an epoch, with what was told (derived).
-_EPOCH, _TOLD = struct.Struct("<QQ128s128s"), struct.Struct("<HI")
 # Ticks after which a camera says again what it has said, or that it is at work, and of these so many after which a newcomer
 # is welcomed again: that is long (choice).
 AGAIN, TOUR = 2, 5
@@ -68,6 +66,8 @@ class Patience(NamedTuple):
 
 
 PATIENCE = Patience(30, 120)  # (choice)
+# Where nobody joins.
+NO_WELCOME = Welcome(0, 0, frozenset(), b"")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +79,12 @@ class Agreeing:
         round: counts from 0; epoch: of its own newcomers.
         own: what it tells in this round.
         patience: with the others.
-        welcome: what newcomers have to know, and newcomers: who has not spoken yet of those that joined with this round.
+        welcome: for newcomers, and newcomers: who has not spoken yet of those that joined with this round.
         heard: camera -> what it told in this round; early: of those one ahead, the epoch and what they told in the next one.
         before, left_before, epoch_before: camera -> what it told in the round before, who left with that, and its epoch.
-        odd: whose words say that they heard something else before this round. rows: once there is a dispute about that,
-            camera -> digests of what it heard of each; accused: and in whose words it found that.
+        odd: whose words say that they heard something else before this round; stray: those words.
+        claims: once there is a dispute about that, camera -> what it says that it heard; relays: and then what it received
+            of that from each.
         blame: who is known to lie, and which pairs of whom one does. again: this round is one after which all go back.
             outcast: this camera itself is one of those that leave.
         silent: camera -> ticks without a word of it. waited: ticks of this round.
@@ -100,15 +101,16 @@ class Agreeing:
     own: bytes
     heard: Mapping[int, bytes]
     patience: Patience = PATIENCE
-    welcome: bytes = b""
+    welcome: Welcome = NO_WELCOME
     newcomers: frozenset[int] = frozenset()
     early: Mapping[int, tuple[int, bytes]] = field(default_factory=dict)
     before: Mapping[int, bytes] = field(default_factory=dict)
     left_before: frozenset[int] = frozenset()
     epoch_before: int = 0
     odd: frozenset[int] = frozenset()
-    rows: Rows = field(default_factory=dict)
-    accused: Mapping[int, frozenset[int]] = field(default_factory=dict)
+    stray: Mapping[int, tuple[int, bytes]] = field(default_factory=dict)
+    claims: Mapping[int, bytes] = field(default_factory=dict)
+    relays: Mapping[int, Mapping[int, bytes]] = field(default_factory=dict)
     blame: Blame = NOBODY_LIES
     again: bool = False
     outcast: bool = False
@@ -148,9 +150,8 @@ def agree_start(
     """
     if camera not in members or min(members) < 0 or max(members) >= MOST_CAMERAS:
         raise ValueError(f"camera {camera} of {list(members)}: expected one of some of 0 to {MOST_CAMERAS - 1}")
-    s = Agreeing(
-        camera, tuple(sorted(members)), number, epoch, own, {camera: own}, patience, blame=blame, epoch_before=epoch
-    )
+    who, heard = tuple(sorted(members)), {camera: own}
+    s = Agreeing(camera, who, number, epoch, own, heard, patience, blame=blame, epoch_before=epoch)
     return _settled(s), _packets(s.others, _tells(s))
 
 
@@ -165,7 +166,9 @@ def agree_next(
     assert state.outcome is not None
     number, newcomers = state.round + 1, newcomers - {*state.others, state.camera}
     members = tuple(sorted({*state.others, state.camera, *newcomers}))
-    epoch = _epoch(state.epoch, number, members, newcomers, state.outcome)
+    epoch = known = following(state.epoch, number, members, newcomers, state.outcome)
+    if newcomers:
+        epoch = entered(known, welcome)
     early = {c: data for c, (of, data) in state.early.items() if c in members and of == epoch}
     odd = {c for c, (of, _) in state.early.items() if c in members and of != epoch}
     s = Agreeing(
@@ -176,7 +179,7 @@ def agree_next(
         own,
         {state.camera: own, **early},
         state.patience,
-        welcome,
+        Welcome(number, known, frozenset(members), welcome),
         newcomers,
         before=state.outcome,
         left_before=state.giving_up,
@@ -192,15 +195,6 @@ def agree_next(
     return _settled(s), packets + more
 
 
-def _epoch(
-    before: int, number: int, members: Sequence[int], newcomers: frozenset[int], told: Mapping[int, bytes]
-) -> int:
-    """Of a round, from that before, and what was told in it."""
-    parts = [_EPOCH.pack(before, number, bits_of(frozenset(members)), bits_of(newcomers))]
-    parts += [part for c in sorted(told) for part in (_TOLD.pack(c, len(told[c])), told[c])]
-    return int.from_bytes(digest(b"".join(parts)), "little")
-
-
 def agree_step(state: Agreeing, inbox: Inbox, *, tick: bool = True) -> tuple[Agreeing, list[Packet]]:
     """Hear the others; say again what they may have missed, or whom this camera gives up.
 
@@ -213,7 +207,7 @@ def agree_step(state: Agreeing, inbox: Inbox, *, tick: bool = True) -> tuple[Agr
         s = replace(s, silent={c: s.silent.get(c, 0) + 1 for c in s.others}, waited=s.waited + 1)
     others, silent, heard, early = set(s.others), dict(s.silent), dict(s.heard), dict(s.early)
     ends, consent, refused, newcomers = dict(s.ends), dict(s.consent), dict(s.refused), set(s.newcomers)
-    odd, rows, accused = set(s.odd), dict(s.rows), dict(s.accused)
+    odd, stray, claims, relays = set(s.odd), dict(s.stray), dict(s.claims), dict(s.relays)
     for sender, data in inbox:
         if sender not in others:
             continue
@@ -224,14 +218,18 @@ def agree_step(state: Agreeing, inbox: Inbox, *, tick: bool = True) -> tuple[Agr
             continue
         ahead = word.round == s.round + 1 and word.kind == TELLS
         if word.round == s.round and sender in s.before:
-            if word.kind == DISPUTES and (s.outcome is None or s.again):
+            if word.kind in (DISPUTES, RELAYS) and (s.outcome is None or s.again):
                 silent[sender] = 0
-                rows[sender], accused[sender] = word.told, word.leaving
-                if s.again:  # it has missed what this camera has heard
-                    out += _packets((sender,), _disputes(s))
+                if word.kind == DISPUTES:
+                    claims.setdefault(sender, word.told[sender])
+                else:
+                    relays.setdefault(sender, word.told)
+                if s.again:  # it has missed what this camera says
+                    out += _disputes(s, (sender,))
                 continue
             if word.kind == TELLS and word.epoch != s.epoch:
                 odd.add(sender)
+                stray[sender] = word.epoch, word.told[sender]
         if (word.epoch not in (s.epoch, s.epoch_before) and not ahead) or word.round > s.round + 1:
             # It is in another group, or has gone on without this camera, which was silent for long: no word for it.
             continue
@@ -260,8 +258,9 @@ def agree_step(state: Agreeing, inbox: Inbox, *, tick: bool = True) -> tuple[Agr
         refused=refused,
         newcomers=frozenset(newcomers),
         odd=frozenset(odd),
-        rows=rows,
-        accused=accused,
+        stray=stray,
+        claims=claims,
+        relays=relays,
     )
     s, more = _disputing(_ended(s))
     s, judged = _judged(_impatient(s))
@@ -280,8 +279,8 @@ def _said_again(s: Agreeing) -> list[Packet]:
         works = message(WORKS, s.camera, s.round, s.epoch, b"")
         return _packets(s.others, works) if s.waited % AGAIN == 0 else []
     out: list[Packet] = []
-    if s.rows and not s.again:
-        out += _packets(s.others, _disputes(s))
+    if s.claims and not s.again:
+        out += _disputes(s, s.others)
     if s.giving_up and not s.ended:
         gives_up = passed_on(GIVES_UP, s.camera, s.round, s.epoch, s.giving_up, frozenset(), s.heard)
         out += _packets(s.others, gives_up)
@@ -318,7 +317,7 @@ def _impatient(s: Agreeing) -> Agreeing:
     if s.outcome is not None or s.ended:
         return s
     missed = {c for c in s.others if c not in s.heard or (s.giving_up and not _consents(s, c))}
-    missed |= {c for c in s.others if s.rows and not s.again and c not in s.rows}
+    missed |= {c for c in s.others if s.claims and not s.again and not (c in s.claims and c in s.relays)}
     silent, long = s.patience
     return replace(s, giving_up=s.giving_up | {c for c in missed if s.silent.get(c, 0) > silent or s.waited > long})
 
@@ -332,6 +331,8 @@ def _settled(s: Agreeing) -> Agreeing:
     agreed = s.ended or not s.giving_up or all(_consents(s, c) for c in s.others)
     if s.outcome is not None or not agreed or any(c not in s.heard for c in s.others):
         return s
+    if s.claims and not s.again and not s.ended:  # its word in a dispute counts: it waits for how that ends
+        return s
     # Of who leaves, what any has heard; nobody hears it once it is given up.
     passed_on = [s.consent[c].told for c in s.others if c in s.consent and not s.ended]
     told = {c: data for of in passed_on for c, data in of.items() if c in s.giving_up} | dict(s.heard)
@@ -339,31 +340,34 @@ def _settled(s: Agreeing) -> Agreeing:
 
 
 def _disputing(s: Agreeing) -> tuple[Agreeing, list[Packet]]:
-    """Joins a dispute, where there is one: with what this camera has heard."""
-    if s.again or s.outcome is not None or s.ended or not (s.odd or s.rows) or s.camera in s.rows:
+    """Takes part in a dispute, where there is one: says what it has heard, then what the others say."""
+    if s.again or s.outcome is not None or s.ended or not (s.odd or s.claims):
         return s, []
-    row = {c: digest(data) for c, data in s.before.items()}
-    s = replace(s, rows={**s.rows, s.camera: row}, accused={**s.accused, s.camera: s.odd})
-    return s, _packets(s.others, _disputes(s))
+    told = len(s.claims) + len(s.relays)
+    if s.camera not in s.claims:
+        mine = claim(s.odd, {c: digest(data) for c, data in s.before.items()})
+        s = replace(s, claims={**s.claims, s.camera: mine})
+    if s.camera not in s.relays and all(c in s.claims for c in s.others):
+        s = replace(s, relays={**s.relays, s.camera: s.claims})
+    return s, _disputes(s, s.others) if len(s.claims) + len(s.relays) > told else []
 
 
 def _judged(s: Agreeing) -> tuple[Agreeing, list[Packet]]:
     """Without those that lie, once all that are left have said what they heard: they go back, a round later."""
-    if not s.rows or s.again or s.outcome is not None or s.ended or any(c not in s.rows for c in s.others):
+    if s.again or s.outcome is not None or s.ended or any(c not in s.relays for c in (s.camera, *s.others)):
         return s, []
-    asked = {s.camera, *s.others} & s.before.keys()
-    rows = {c: s.rows[c] for c in sorted(asked)}
-    out, blame = liars(rows, {c: s.accused[c] for c in rows}, s.blame)
-    left = tuple(sorted(asked - out))
+    out, blame = verdict(s.before.keys(), s.relays, s.blame)
+    left = tuple(sorted(({s.camera, *s.others} & s.before.keys()) - out))
+    epoch = following(s.epoch_before, s.round, left, frozenset(), {})
     s = replace(s, blame=blame, again=True, outcast=s.camera in out, odd=frozenset(), newcomers=frozenset())
     if s.outcast:
         return replace(s, members=(s.camera,), giving_up=frozenset(), outcome={}), []
     s = replace(
         s,
         members=left,
-        epoch=_epoch(s.epoch_before, s.round, left, frozenset(), {}),
+        epoch=epoch,
         own=b"",
-        heard={s.camera: b""},
+        heard={s.camera: b"", **{c: told for c, (of, told) in s.stray.items() if c in left and of == epoch}},
         early={},
         consent={},
         ends={},
@@ -374,8 +378,14 @@ def _judged(s: Agreeing) -> tuple[Agreeing, list[Packet]]:
     return s, _packets(s.others, _tells(s))
 
 
-def _disputes(s: Agreeing) -> bytes:
-    return disputed(s.camera, s.round, s.epoch, s.accused[s.camera], s.rows[s.camera])
+def _disputes(s: Agreeing, to: tuple[int, ...]) -> list[Packet]:
+    """What this camera says in a dispute."""
+    header = s.camera, s.round, s.epoch
+    out = _packets(to, message(DISPUTES, *header, s.claims[s.camera])) if s.camera in s.claims else []
+    if s.camera in s.relays:
+        relays = s.relays[s.camera]
+        out += _packets(to, passed_on(RELAYS, *header, frozenset(), frozenset(relays), relays))
+    return out
 
 
 def _packets(to: tuple[int, ...], data: bytes) -> list[Packet]:
@@ -387,4 +397,4 @@ def _tells(s: Agreeing) -> bytes:
 
 
 def _welcomes(s: Agreeing) -> bytes:
-    return welcomed(s.camera, Welcome(s.round, s.epoch, frozenset(s.members), s.welcome))
+    return welcomed(s.camera, s.welcome)

@@ -1,23 +1,31 @@
 """Who lies, by what listeners tell each other of what they heard.
 
-Words are not signed. Where one listener alone heard something else of a camera than the others, either was told it or tells
-it: of the two one lies, and both have to go. Where several heard different things, that camera lies; and so does whoever is
-one of two such pairs, which may be years apart.
+Words are not signed. Where one listener alone heard something else of a camera than the others, it was told that or makes
+it up: of the two one lies, and both have to go. Where several heard different things, that camera lies; and so does whoever
+is one of two such pairs, which may be years apart.
+
+What each says that it heard all others pass on, and what most of them were told counts: of one liar among four or more all
+others come to the same verdict.
 """
 
 from __future__ import annotations
 
+import struct
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import chain
 from typing import NamedTuple, TypeAlias
 
-__all__ = ["NOBODY_LIES", "Blame", "Rows", "liars"]
+from sylpose.network.words import BITS, bits_of, of_bits
+
+__all__ = ["NOBODY_LIES", "Blame", "Rows", "claim", "liars", "verdict"]
 
 # Camera -> what it says that it heard of each.
 Rows: TypeAlias = Mapping[int, Mapping[int, bytes]]
 # So many others have to have heard a camera for one of them to be in doubt rather than it (derived).
 LISTENERS = 3
+# A camera and the digest of what it told (derived).
+_HEARD = struct.Struct("<H8s")
 
 
 class Blame(NamedTuple):
@@ -72,6 +80,7 @@ def liars(
                 alone.add(camera)
             pairs |= {frozenset({camera, c}) for c in by if len(by) == 1}
     # Who lies may accuse anybody.
+    alone |= blame.alone
     every = {pair for pair in pairs | blame.pairs if not pair & alone}
     while every:
         camera, count = max(Counter(chain(*every)).items(), key=lambda one: (one[1], -one[0]))
@@ -80,4 +89,31 @@ def liars(
         alone.add(camera)
         every = {pair for pair in every if camera not in pair}
     out = frozenset(alone).union(*(pair for pair in pairs if pair in every))
-    return out & rows.keys(), Blame(blame.alone | alone, frozenset(every))
+    return out & rows.keys(), Blame(frozenset(alone), frozenset(every))
+
+
+def claim(odd: frozenset[int], row: Mapping[int, bytes]) -> bytes:
+    """What a camera says in a dispute: whose next words are odd, and digests of what it heard of each."""
+    return bits_of(odd) + b"".join(_HEARD.pack(c, row[c]) for c in sorted(row))
+
+
+def verdict(
+    cameras: Collection[int], received: Mapping[int, Mapping[int, bytes]], blame: Blame
+) -> tuple[frozenset[int], Blame]:
+    """As `liars`, of claims that were passed on.
+
+    Args:
+        cameras: that took part.
+        received: by camera, what it says that it received of each other one, as its claim.
+    """
+    rows, accused, unclear = dict[int, Mapping[int, bytes]](), dict[int, frozenset[int]](), set[int]()
+    for camera in sorted(cameras):
+        others = [claims.get(camera, b"") for c, claims in received.items() if c != camera]
+        said, count = max(Counter(others).items(), key=lambda one: one[::-1], default=(b"", 0))
+        odd, heard = said[:BITS], said[BITS:]
+        if 2 * count > len(others) and odd and len(heard) % _HEARD.size == 0:
+            rows[camera], accused[camera] = dict(_HEARD.iter_unpack(heard)), of_bits(odd)
+        elif b"" not in others:  # who has not heard it has given it up
+            unclear.add(camera)
+    out, blame = liars(rows, accused, Blame(blame.alone | unclear, blame.pairs))
+    return out | unclear, blame

@@ -18,7 +18,18 @@ from typing import NamedTuple, TypeAlias
 
 from sylpose.network.agreed import PATIENCE, Agreeing, Patience, agree_next, agree_start, agree_step, silenced
 from sylpose.network.liars import NOBODY_LIES, Blame
-from sylpose.network.words import HELLO, WORKS, Hello, Welcome, kind_of, message, read_hello, read_welcome, said_hello
+from sylpose.network.words import (
+    HELLO,
+    WORKS,
+    Hello,
+    Welcome,
+    entered,
+    kind_of,
+    message,
+    read_hello,
+    read_welcome,
+    said_hello,
+)
 from sylpose.paper.distributed.messages import Inbox, Packet
 
 __all__ = [
@@ -147,7 +158,8 @@ def asked(p: Present, ask: Ask, frames: int) -> tuple[Present, list[Packet]]:
     if p.agreeing is not None:
         agreeing, packets = agree_next(p.agreeing, ask.own, ask.newcomers, ask.knows)
     elif p.welcome is not None:
-        number, epoch, members, _ = p.welcome
+        number, epoch, members, knows = p.welcome
+        epoch = entered(epoch, knows)
         agreeing, packets = agree_start(
             p.camera, sorted(members), ask.own, number=number, epoch=epoch, patience=p.patience, blame=p.blame
         )
@@ -230,8 +242,8 @@ def present_step(p: Present, inbox: Inbox, *, tick: bool = True) -> tuple[Presen
     p = replace(p, agreeing=agreeing, outside=outside)
     if tick and agreeing is None and p.welcome is not None:
         # It learns what it was told, and has not spoken yet.
-        number, epoch, members, _ = p.welcome
-        works = message(WORKS, p.camera, number, epoch, b"")
+        number, epoch, members, knows = p.welcome
+        works = message(WORKS, p.camera, number, entered(epoch, knows), b"")
         out.append(Packet(tuple(sorted(members - {p.camera})), works))
     others = tuple(c for c in range(p.cameras) if c != p.camera and c not in p.members)
     if tick and others and p.ticks % HELLOS == 0 and p.welcome is None:

@@ -44,7 +44,8 @@ def smooth_by_node(node: Node, rig: Rig, frames: Sequence[TrackedFrame], **optio
 
 
 def _smoothed(node: Node, rig: Rig, frames: Sequence[TrackedFrame], **options: Any) -> Smoothed:
-    since = max(node.ask(lambda _: node.since, 0))
+    last = max((frame.pose.index for frame in frames), default=0)
+    since = max(since for since in node.ask(lambda _: node.since, 0) if since <= last)
     tracks = [Track.of(frame) for frame in frames if frame.pose.index >= since]
     radius = next((track.radius for track in reversed(tracks) if track.sightings), 1.0)
     for start in range(0, len(tracks), TOGETHER):

@@ -23,8 +23,11 @@ __all__ = ["objection"]
 ROUNDING = 1e-5
 # Nothing that is counted, or measured in pixels, is more (choice).
 MOST = 1e7
-# About a turn, matches say no more than so much each (choice: half an image's diagonal is 10,000 pixels, and the noise 0.1).
-MOST_EACH = 1e10
+# About a turn, matches say no more than so much each (choice: 1e10 where the object is in its place, but a start that goes
+# astray may lead it close to a camera).
+MOST_EACH = 1e20
+# No length is more, in any unit (choice).
+FARTHEST = 1e9
 # Normalised coordinates of what is 89.4 degrees off the axis (derived).
 WIDEST = 100.0
 # Records of counts, of sums and of lengths in pixels: nothing in them is negative.
@@ -93,7 +96,7 @@ def _is_count(value: object, unknown: bool) -> bool:
     return bool(((numbers >= 0) & (numbers <= MOST) | (np.isnan(numbers) & unknown)).all())
 
 
-def _are_points(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]], most: float = np.inf) -> bool:
+def _are_points(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]], most: float = FARTHEST) -> bool:
     return bool(np.isfinite(points).all() and (np.abs(points) < most).all())
 
 

@@ -9,13 +9,14 @@ Everything is bounded and checked before it is used: what is no message is refus
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from hashlib import blake2b
 from typing import NamedTuple
 
 from sylpose.network.codec import LARGEST
 
 __all__ = [
+    "BITS",
     "DISPUTES",
     "ENDED",
     "GIVES_UP",
@@ -23,6 +24,7 @@ __all__ = [
     "HELLO",
     "LARGEST_WORD",
     "MOST_CAMERAS",
+    "RELAYS",
     "TELLS",
     "WELCOME",
     "WORKS",
@@ -31,7 +33,8 @@ __all__ = [
     "Word",
     "bits_of",
     "digest",
-    "disputed",
+    "entered",
+    "following",
     "kind_of",
     "message",
     "of_bits",
@@ -63,15 +66,19 @@ class Header:
 HEADER = Header()
 # What a camera tells; whom it gives up, and what it has heard of these; that of a round that it has ended; that it is at
 # work; what a newcomer has to know; to those that are no members, that there is somebody; and, where words of a round say
-# that cameras heard different things in the one before, digests of what this one heard (derived).
-TELLS, GIVES_UP, ENDED, WORKS, WELCOME, HELLO, DISPUTES = range(7)
+# that cameras heard different things in the one before, digests of what this one heard, and then what others say that they
+# heard (derived).
+TELLS, GIVES_UP, ENDED, WORKS, WELCOME, HELLO, DISPUTES, RELAYS = range(8)
 # Bits of those that leave, and of those that something is passed on of; then the number of bytes of each (derived).
 _LEAVING, _SIZE = struct.Struct("<128s128s"), struct.Struct("<I")
 # Round and bits of the members, before what a newcomer has to know (derived).
 _MEMBERS = struct.Struct("<Q128s")
 # How many cameras and frames a camera's group has (derived).
 _GROUP = struct.Struct("<HI")
+# What makes an epoch, with what was told before (derived).
+_EPOCH, _TOLD = struct.Struct("<QQ128s128s"), struct.Struct("<HI")
 MOST_CAMERAS = 1024  # ten bits (derived)
+BITS = MOST_CAMERAS // 8  # bytes with a bit for each (derived)
 FAR = 1 << 47  # no round has such a number (choice: a thousand rounds a second for four thousand years)
 LARGEST_WORD = HEADER.size + LARGEST  # bytes (derived)
 
@@ -87,7 +94,8 @@ class Word(NamedTuple):
 
 
 class Welcome(NamedTuple):
-    """What a newcomer is told. round, epoch, members: of the round that it joins with; knows: what it has to know."""
+    """What a newcomer is told. round, members: of the round that it joins with; knows: what it has to know; epoch: with that
+    it makes the round's (`entered`), so that who was told something else is not understood."""
 
     round: int
     epoch: int
@@ -140,7 +148,7 @@ def said_hello(camera: int, epoch: int, hello: Hello) -> bytes:
 
 def bits_of(cameras: frozenset[int]) -> bytes:
     """One bit for each camera."""
-    return sum(1 << c for c in cameras).to_bytes(MOST_CAMERAS // 8, "little")
+    return sum(1 << c for c in cameras).to_bytes(BITS, "little")
 
 
 def of_bits(bits: bytes) -> frozenset[int]:
@@ -154,9 +162,18 @@ def digest(data: bytes) -> bytes:
     return blake2b(data, digest_size=8).digest()
 
 
-def disputed(camera: int, number: int, epoch: int, odd: frozenset[int], row: Mapping[int, bytes]) -> bytes:
-    """Whose words say that not all have heard the same, and a digest of each that was heard in the round before."""
-    return passed_on(DISPUTES, camera, number, epoch, odd, frozenset(row), row)
+def following(
+    before: int, number: int, members: Sequence[int], newcomers: frozenset[int], told: Mapping[int, bytes]
+) -> int:
+    """Of a round, from that before, and what was told in it."""
+    parts = [_EPOCH.pack(before, number, bits_of(frozenset(members)), bits_of(newcomers))]
+    parts += [part for c in sorted(told) for part in (_TOLD.pack(c, len(told[c])), told[c])]
+    return int.from_bytes(digest(b"".join(parts)), "little")
+
+
+def entered(epoch: int, knows: bytes) -> int:
+    """The epoch of a round that newcomers join with, from that of the members and what these were told."""
+    return int.from_bytes(digest(epoch.to_bytes(8, "little") + knows), "little")
 
 
 def read_word(sender: int, data: bytes, near: int = 0) -> Word:
@@ -171,9 +188,12 @@ def read_word(sender: int, data: bytes, near: int = 0) -> Word:
     if not HEADER.size <= len(data) <= LARGEST + HEADER.size:
         raise ValueError(f"{len(data)} bytes are no message")
     kind, author, number, epoch = HEADER.unpack_from(data, near)
-    if author != sender or kind not in (TELLS, GIVES_UP, ENDED, WORKS, WELCOME, DISPUTES):
+    if author != sender or kind not in (TELLS, GIVES_UP, ENDED, WORKS, WELCOME, DISPUTES, RELAYS):
         raise ValueError("the header is not this camera's")
     content = data[HEADER.size :]
+    if kind == DISPUTES:
+        odd = of_bits(content[:BITS]) - {sender}
+        return Word(kind, number, epoch, odd, {sender: content})
     if kind in (TELLS, WORKS):
         return Word(kind, number, epoch, frozenset(), {sender: content})
     if kind == WELCOME:  # again, after this camera has heard it
