@@ -109,9 +109,9 @@ class WithLiar(Network):
         return state is not None and state.outcast
 
     def step(self, c: int, inbox: list[tuple[int, bytes]]) -> None:
-        if self.outcast(c):
-            return
         state = self.states[c]
+        if state is not None and state.outcast and state.outcome is not None:
+            return
         s, packets = agree_start(c, range(self.n), word(c, 0)) if state is None else agree_step(state, inbox)
         self.send(c, packets)
         while s.outcome is not None and len(self.outcomes[c]) < ROUNDS and not s.outcast:

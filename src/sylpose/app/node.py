@@ -186,7 +186,7 @@ class _Timed:
 
 def _named(rig: Rig, refused: dict[int, str], runner: Runner, wire: Wire) -> dict[str, str]:
     """Who was refused, and why."""
-    by_number = {**runner.present.all_refused, **refused}
+    by_number = {**runner.present.all_refused, **refused, **runner.present.all_blame.sentences(rig.names)}
     return {**{rig.names[c]: why for c, why in by_number.items() if c < len(rig)}, **wire.refused}
 
 

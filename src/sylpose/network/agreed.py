@@ -50,7 +50,7 @@ from sylpose.network.words import (
 )
 from sylpose.paper.distributed.messages import Inbox, Packet
 
-__all__ = ["PATIENCE", "Agreeing", "Patience", "agree_next", "agree_start", "agree_step", "silenced"]
+__all__ = ["PATIENCE", "Agreeing", "Patience", "agree_next", "agree_start", "agree_step"]
 
 # Ticks after which a camera says again what it has said, or that it is at work, and of these so many after which a newcomer
 # is welcomed again: that is long (choice).
@@ -224,7 +224,7 @@ def agree_step(state: Agreeing, inbox: Inbox, *, tick: bool = True) -> tuple[Agr
                     claims.setdefault(sender, word.told[sender])
                 else:
                     relays.setdefault(sender, word.told)
-                if s.again:  # it has missed what this camera says
+                if s.again and word.epoch:  # it has missed what this camera says; an answer needs none
                     out += _disputes(s, (sender,))
                 continue
             if word.kind == TELLS and word.epoch != s.epoch:
@@ -265,12 +265,7 @@ def agree_step(state: Agreeing, inbox: Inbox, *, tick: bool = True) -> tuple[Agr
     s, more = _disputing(_ended(s))
     s, judged = _judged(_impatient(s))
     s = _settled(s)
-    return s, out + more + judged + (_said_again(s) if tick else [])
-
-
-def silenced(state: Agreeing, camera: int, ticks: int) -> Agreeing:
-    """With a camera silent for so many ticks more: it says elsewhere that it is no member."""
-    return replace(state, silent={**state.silent, camera: state.silent.get(camera, 0) + ticks})
+    return s, out + more + judged + (_said_again(s) if tick and not s.outcast else [])
 
 
 def _said_again(s: Agreeing) -> list[Packet]:
@@ -314,12 +309,14 @@ def _ended(s: Agreeing) -> Agreeing:
 
 def _impatient(s: Agreeing) -> Agreeing:
     """Gives up who was silent for long, where it is waited for."""
-    if s.outcome is not None or s.ended:
+    if s.outcome is not None or s.ended or s.outcast:
         return s
     missed = {c for c in s.others if c not in s.heard or (s.giving_up and not _consents(s, c))}
     missed |= {c for c in s.others if s.claims and not s.again and not (c in s.claims and c in s.relays)}
     silent, long = s.patience
-    return replace(s, giving_up=s.giving_up | {c for c in missed if s.silent.get(c, 0) > silent or s.waited > long})
+    more = {c for c in missed if s.silent.get(c, 0) > silent or s.waited > long} - s.giving_up
+    # The others have as long again to agree to it.
+    return replace(s, giving_up=s.giving_up | more, waited=0) if more else s
 
 
 def _consents(s: Agreeing, camera: int) -> bool:
@@ -328,6 +325,8 @@ def _consents(s: Agreeing, camera: int) -> bool:
 
 def _settled(s: Agreeing) -> Agreeing:
     """With the outcome, where all that are left have told, and give up the same."""
+    if s.outcast:  # for a while it answers those that have missed what it says
+        return replace(s, outcome={}, members=(s.camera,)) if s.waited > s.patience.silent else s
     agreed = s.ended or not s.giving_up or all(_consents(s, c) for c in s.others)
     if s.outcome is not None or not agreed or any(c not in s.heard for c in s.others):
         return s
@@ -357,11 +356,12 @@ def _judged(s: Agreeing) -> tuple[Agreeing, list[Packet]]:
     if s.again or s.outcome is not None or s.ended or any(c not in s.relays for c in (s.camera, *s.others)):
         return s, []
     out, blame = verdict(s.before.keys(), s.relays, s.blame)
-    left = tuple(sorted(({s.camera, *s.others} & s.before.keys()) - out))
+    # Those as well that this camera has given up meanwhile: not all may have.
+    left = tuple(sorted((set(s.members) & s.before.keys()) - out))
     epoch = following(s.epoch_before, s.round, left, frozenset(), {})
     s = replace(s, blame=blame, again=True, outcast=s.camera in out, odd=frozenset(), newcomers=frozenset())
     if s.outcast:
-        return replace(s, members=(s.camera,), giving_up=frozenset(), outcome={}), []
+        return replace(s, waited=0), []
     s = replace(
         s,
         members=left,
@@ -379,8 +379,8 @@ def _judged(s: Agreeing) -> tuple[Agreeing, list[Packet]]:
 
 
 def _disputes(s: Agreeing, to: tuple[int, ...]) -> list[Packet]:
-    """What this camera says in a dispute."""
-    header = s.camera, s.round, s.epoch
+    """What this camera says in a dispute, with no epoch where that is over for it: it answers."""
+    header = s.camera, s.round, 0 if s.again else s.epoch
     out = _packets(to, message(DISPUTES, *header, s.claims[s.camera])) if s.camera in s.claims else []
     if s.camera in s.relays:
         relays = s.relays[s.camera]

@@ -1,8 +1,8 @@
 """Who lies, by what listeners tell each other of what they heard.
 
 Words are not signed. Where one listener alone heard something else of a camera than the others, it was told that or makes
-it up: of the two one lies, and both have to go. Where several heard different things, that camera lies; and so does whoever
-is one of two such pairs, which may be years apart.
+it up: of the two one lies. The camera has to go first, and the listener where it says the same of another one, however much
+later: then the first may come back. Where several heard different things, that camera lies.
 
 What each says that it heard all others pass on, and what most of them were told counts: of one liar among four or more all
 others come to the same verdict.
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from itertools import chain
 from typing import NamedTuple, TypeAlias
 
@@ -38,9 +38,15 @@ class Blame(NamedTuple):
         """Whether a camera may not be with these."""
         return camera in self.alone or any(camera in pair and pair & members - {camera} for pair in self.pairs)
 
-    def sentences(self) -> dict[int, str]:
-        """Camera -> what is said of it."""
-        said = {c: f"it or camera {o} lies of what it told" for pair in self.pairs for c, o in _both_ways(pair)}
+    @property
+    def suspects(self) -> frozenset[int]:
+        """Who may lie."""
+        return self.alone.union(*self.pairs)
+
+    def sentences(self, names: Sequence[str] | None = None) -> dict[int, str]:
+        """Camera -> what is said of it; names: of all cameras."""
+        called = (lambda c: f"camera {c}") if names is None else names.__getitem__
+        said = {c: f"it or {called(o)} lies of what it told" for pair in self.pairs for c, o in _both_ways(pair)}
         return {**said, **dict.fromkeys(self.alone, "it told others something else")}
 
 
@@ -62,14 +68,19 @@ def liars(
         accused: in whose next words these saw that not all have heard the same.
         blame: from disputes before.
     """
-    alone, pairs = set[int](), set[frozenset[int]]()
+    alone, pairs, first = set[int](), set[frozenset[int]](), set[int]()
     for camera in {*rows, *chain(*rows.values())}:
         # What a camera says of itself is no evidence.
         heard = {c: row.get(camera, b"") for c, row in rows.items() if c != camera}
         most = max(Counter(heard.values()).items(), key=lambda kind: kind[::-1], default=(b"", 0))[0]
         odd = [c for c, data in heard.items() if data != most]
+        known = blame.suspects & heard.keys()
         if len(odd) == 1 and len(heard) >= LISTENERS:
             pairs.add(frozenset({camera, odd[0]}))
+            first.add(camera)
+        elif len(odd) == len(known) == 1 and camera not in blame.suspects:
+            # Of two listeners the one that has accused another before.
+            pairs.add(frozenset({camera, *known}))
         elif odd:
             alone.add(camera)
     if not alone and not pairs:
@@ -78,7 +89,9 @@ def liars(
             by = [c for c, others in accused.items() if camera in others and c != camera]
             if len(by) > 1:
                 alone.add(camera)
-            pairs |= {frozenset({camera, c}) for c in by if len(by) == 1}
+            elif by:
+                pairs.add(frozenset({camera, by[0]}))
+                first.add(camera)
     # Who lies may accuse anybody.
     alone |= blame.alone
     every = {pair for pair in pairs | blame.pairs if not pair & alone}
@@ -88,8 +101,8 @@ def liars(
             break
         alone.add(camera)
         every = {pair for pair in every if camera not in pair}
-    out = frozenset(alone).union(*(pair for pair in pairs if pair in every))
-    return out & rows.keys(), Blame(frozenset(alone), frozenset(every))
+    out = alone | {camera for camera in first if any(camera in pair for pair in every)}
+    return frozenset(out & rows.keys()), Blame(frozenset(alone), frozenset(every))
 
 
 def claim(odd: frozenset[int], row: Mapping[int, bytes]) -> bytes:
@@ -108,7 +121,7 @@ def verdict(
     """
     rows, accused, unclear = dict[int, Mapping[int, bytes]](), dict[int, frozenset[int]](), set[int]()
     for camera in sorted(cameras):
-        others = [claims.get(camera, b"") for c, claims in received.items() if c != camera]
+        others = [claims.get(camera, b"") for c, claims in received.items() if c != camera and c not in blame.suspects]
         said, count = max(Counter(others).items(), key=lambda one: one[::-1], default=(b"", 0))
         odd, heard = said[:BITS], said[BITS:]
         if 2 * count > len(others) and odd and len(heard) % _HEARD.size == 0:

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias
 
-from sylpose.network.agreed import PATIENCE, Agreeing, Patience, agree_next, agree_start, agree_step, silenced
+from sylpose.network.agreed import PATIENCE, Agreeing, Patience, agree_next, agree_start, agree_step
 from sylpose.network.liars import NOBODY_LIES, Blame
 from sylpose.network.words import (
     HELLO,
@@ -206,6 +206,11 @@ def _founds(p: Present) -> bool:
     waited = p.ticks >= p.wait or len(p.outside) + 1 == p.cameras
     first = all((p.frames, -p.camera) > (o.hello.frames, -c) for c, o in p.outside.items())
     return waited and first and not any(o.hello.size for o in p.outside.values())
+
+
+def silenced(agreeing: Agreeing, camera: int, ticks: int) -> Agreeing:
+    """With a camera silent for so many ticks more: it says elsewhere that it is no member."""
+    return replace(agreeing, silent={**agreeing.silent, camera: agreeing.silent.get(camera, 0) + ticks})
 
 
 def present_step(p: Present, inbox: Inbox, *, tick: bool = True) -> tuple[Present, list[Packet]]:
