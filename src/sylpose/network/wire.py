@@ -7,6 +7,7 @@ not mix in and can be named. With keys (`network.keys`) links are mutual TLS, an
 from __future__ import annotations
 
 import json
+import os
 import re
 import time
 from collections.abc import Callable, Sequence
@@ -31,6 +32,10 @@ LOOPBACK = "127.0.0.1:0"  # this machine only, at any port (choice)
 NAME = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
 # Milliseconds after which a link without a sign of life is closed; seconds to wait for who is there already (choice).
 LEASE_MS, FIRST_LOOK = 1000, 1.0
+# Threads of Zenoh that receive. One that closes a link to a machine that was unplugged stands still until the system gives
+# up what it has not sent, for ten seconds; with the two that are Zenoh's own choice, two such links silence all others
+# (choice: so many may die at once).
+THREADS = 32
 # Names that are remembered as refused (choice).
 MOST_REFUSED = 64
 
@@ -202,6 +207,8 @@ def open_session(links: Links, name: str) -> Any:
     """
     import zenoh
 
+    # Read with the first session of a process.
+    os.environ.setdefault("ZENOH_RUNTIME", f"(rx: (worker_threads: {THREADS}))")
     zenoh.init_log_from_env_or("off")
     config = zenoh.Config()
     protocol = "tcp" if links.keys is None else "tls"
