@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.node_processes import RATE, Processes, looped_recording, processes
+from benchmarks.node_processes import RATE, Processes, as_installed, looped_recording, processes
 
 __all__ = ["kills"]
 
@@ -95,5 +95,5 @@ def pause(nodes: Processes, names: list[str], since: float) -> float:
 
 def _seconds_of(what: str) -> float:
     begun = time.monotonic()
-    subprocess.run([sys.executable, "-c", what], check=True)
+    subprocess.run([sys.executable, "-c", what], check=True, env=as_installed())
     return time.monotonic() - begun

@@ -17,7 +17,7 @@ from sylpose.network.wire import LOOPBACK, Links, watch_network
 from sylpose.simulate import demo_scene, render_frames
 from sylpose.simulate.files import session_folder, write_videos
 
-__all__ = ["RATE", "Line", "Processes", "looped_recording", "processes", "rss_mb"]
+__all__ = ["RATE", "Line", "Processes", "as_installed", "looped_recording", "processes", "rss_mb"]
 
 RATE = 30.0  # frames per second of a recording
 # Small pictures, of which two cores can work on a few hundred in a second (choice).
@@ -80,7 +80,7 @@ class Processes:
         folder.mkdir(parents=True, exist_ok=True)
         command = node_command(name, self.recording, folder, self.network, self.speed, self.wait)
         with (folder / "said.txt").open("wb") as said:
-            self.running[name] = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT)
+            self.running[name] = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT, env=as_installed())
 
     def kill(self, name: str) -> None:
         """As `kill -9` does."""
@@ -118,6 +118,11 @@ def processes(recording: Path, out: Path, **options: float) -> Iterator[Processe
         yield of
     finally:
         of.close()
+
+
+def as_installed() -> dict[str, str]:
+    """The environment in which Python keeps what it has compiled, as after an installation."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
 
 def rss_mb(pid: int) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from sylpose import calibration
+from sylpose.app.network_demo import node_command
 from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.network.agreed import Patience
@@ -37,6 +38,7 @@ pytest.importorskip("zenoh")
 
 NAMES = ("cam_0", "cam_1", "cam_2")
 DEADLINE = 90.0  # seconds, of a busy machine
+SMALL = (240, 180)
 
 
 @pytest.fixture
@@ -102,6 +104,41 @@ def test_processes_have_the_trajectory_of_one(recording: tuple[Path, DemoTruth],
     # The other one found itself alone.
     assert "with cam_1;" in said[-1]
     assert "cam_0" not in said[-1]
+
+
+def test_eight_processes_say_what_one_finds(network: str, tmp_path: Path) -> None:
+    """Small pictures, so that two cores suffice."""
+    folder, names = tmp_path / "recording", [f"cam_{c}" for c in range(8)]
+    render_sequence(folder, frames=6, turn_deg=15, n_cameras=8, seed=7, size=SMALL)
+    poses: list[str] = []
+    session = watch_network(Links(), network, lambda *_: None, lambda _, line: poses.append(line))
+    nodes = []
+    for name in names:
+        nodes.append(subprocess.Popen(node_command(name, folder, tmp_path / name, network, 0.0, DEADLINE)))
+    try:
+        assert [node.wait(DEADLINE) for node in nodes] == [0] * 8
+    finally:
+        for node in nodes:
+            node.kill()
+    session.close()
+    lines = [json.loads(line) for line in poses]
+    there = open_session(folder)
+    expected = list(track(there.frames(), there.rig))
+    assert sum(f.pose.world_from_object is not None for f in expected) >= 5
+    for frame in expected:
+        pose = frame.pose.world_from_object
+        of_frame = [line for line in lines if line["frame"] == frame.pose.index]
+        assert [line["node"] for line in sorted(of_frame, key=lambda line: str(line["node"]))] == names
+        said = [(line["status"], line["position"], line["quaternion"]) for line in of_frame]
+        assert said == [said[0]] * 8
+        assert said[0][0] == frame.pose.status.value
+        assert all(line["took_part"] == names for line in of_frame)
+        if pose is None:
+            assert said[0][1] is None
+            continue
+        # As JSON says it; products of matrices may round otherwise where arrays lie elsewhere in memory.
+        np.testing.assert_allclose(said[0][1], pose.translation, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(said[0][2], pose.rotation.as_quat(), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -30,8 +30,9 @@ VERSION = 1
 LOOPBACK = "127.0.0.1:0"  # this machine only, at any port (choice)
 # Names that may be part of a key.
 NAME = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
-# Milliseconds after which a link without a sign of life is closed; seconds to wait for who is there already (choice).
-LEASE_MS, FIRST_LOOK = 1000, 1.0
+# Milliseconds after which a link without a sign of life is closed; seconds to wait for anybody who is there already, and
+# from the first one on for others (choice).
+LEASE_MS, FIRST_LOOK, NEXT_LOOK = 1000, 1.0, 0.3
 # Threads of Zenoh that receive. One that closes a link to a machine that was unplugged stands still until the system gives
 # up what it has not sent, for ten seconds; with the two that are Zenoh's own choice, two such links silence all others
 # (choice: so many may die at once).
@@ -142,13 +143,13 @@ class Wire:
 
     def _token(self, name: str) -> bool:
         """Whether a node of that name is there."""
-        until = time.monotonic() + FIRST_LOOK
+        until, met = time.monotonic() + FIRST_LOOK, False
         while time.monotonic() < until:
             replies = self.session.liveliness().get(self.place.key("alive", name=name), timeout=0.3)
             if any(reply.ok is not None for reply in replies):
                 return True
-            if self.session.info.peers_zid():
-                time.sleep(0.1)
+            if not met and self.session.info.peers_zid():
+                met, until = True, min(until, time.monotonic() + NEXT_LOOK)
             time.sleep(0.05)
         return False
 
