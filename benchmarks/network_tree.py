@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.network.words import HEADER
-from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.arrays import FloatArray, IntArray
 
 __all__ = ["HEAD", "Carried", "everybody", "table", "tree"]
 
 NUMBERS = 30  # that a camera tells in a round (derived: 21 of the information, 6 of the gradient, 3 more)
-WORD = HEADER.size + 8 * NUMBERS + 1  # bytes; the codec's own byte among them
+WORD = HEADER.size + 8 * NUMBERS + 1  # bytes, as a round of the alignment is measured to have
 HEAD = (
     "| cameras | way | most that a node sends, kB | hears, kB | messages heard | one after another "
     "| all links, MB |\n" + "|---" * 7 + "|"
@@ -26,8 +26,8 @@ HEAD = (
 
 
 class Carried(NamedTuple):
-    """By one round. sent, heard: (C,) bytes of each node; messages: (C,) that it hears; hops: one after another; sums: (C, 30)
-    what each node has in the end."""
+    """In one round. sent, heard: (C,) bytes of each node; messages: (C,) that it hears; hops: one after another.
+    sums: (C, 30) what each node has in the end."""
 
     sent: FloatArray
     heard: FloatArray
@@ -46,7 +46,7 @@ def everybody(told: FloatArray) -> Carried:
     return Carried(each, each, np.full(n, n - 1.0), 1, np.tile(total, (n, 1)))
 
 
-def tree(told: FloatArray, fan: int, order: FloatArray) -> Carried:
+def tree(told: FloatArray, fan: int, order: IntArray) -> Carried:
     """Camera c > 0 tells camera (c - 1) // fan.
 
     Args:

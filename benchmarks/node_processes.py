@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sylpose.app.network_demo import node_command
+from sylpose.methods import MODES
 from sylpose.network.wire import LOOPBACK, Links, watch_network
 from sylpose.simulate import demo_scene, render_frames
 from sylpose.simulate.files import session_folder, write_videos
@@ -47,14 +48,16 @@ class Processes:
 
     Args:
         recording: its folder; out: where results go.
-        speed: as of `sylpose node`. wait: seconds for which they wait for each other.
+        speed, mode: as of `sylpose node`. wait: seconds for which they wait for each other.
 
     Attributes:
         poses, states: by name, what each has said.
     """
 
-    def __init__(self, recording: Path, out: Path, *, speed: float = 1.0, wait: float = 60.0) -> None:
-        self.recording, self.out, self.speed, self.wait = recording, out, speed, wait
+    def __init__(
+        self, recording: Path, out: Path, *, speed: float = 1.0, wait: float = 60.0, mode: str = MODES[0]
+    ) -> None:
+        self.recording, self.out, self.speed, self.wait, self.mode = recording, out, speed, wait, mode
         self.network = f"bench-{os.getpid()}-{time.monotonic_ns() // 1000}"
         self.running: dict[str, subprocess.Popen[bytes]] = {}
         self.starts: dict[str, int] = {}
@@ -78,7 +81,7 @@ class Processes:
         k = self.starts[name] = self.starts.get(name, -1) + 1
         folder = self.out / f"{name}_{k}"
         folder.mkdir(parents=True, exist_ok=True)
-        command = node_command(name, self.recording, folder, self.network, self.speed, self.wait)
+        command = node_command(name, self.recording, folder, self.network, self.speed, self.wait, self.mode)
         with (folder / "said.txt").open("wb") as said:
             self.running[name] = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT, env=as_installed())
 
@@ -111,7 +114,7 @@ class Processes:
 
 
 @contextmanager
-def processes(recording: Path, out: Path, **options: float) -> Iterator[Processes]:
+def processes(recording: Path, out: Path, **options: Any) -> Iterator[Processes]:
     """`Processes` that end with the block."""
     of = Processes(recording, out, **options)
     try:
