@@ -109,7 +109,7 @@ def node_aloud(asked: Asked) -> bool:
 
     runner = Runner(present, work, lambda packets: wire.send(packets))
     # Before the files: those of a node of that name which is running stay as they are.
-    wire = Wire(place, rig.names, asked.links, runner.heard)
+    wire = Wire(place, rig.names, asked.links, runner.heard, gone=runner.gone)
     try:
         with TrajectoryWriter(folder, rig.names, rig.unit, stem=asked.camera) as writer, interrupted() as stopped:
             says = _Says(console, asked, rig, told, wire, refused, runner)

@@ -98,7 +98,10 @@ class Links:
 
 @dataclass
 class Wire:
-    """A node's links. Messages come in at `heard`, called from other threads, with the name of who says it.
+    """A node's links. Messages come in at `heard`, called from other threads, with the number of who says it.
+
+    Args:
+        gone: called in the same way when a node's link has ended: it has died, or cannot be reached.
 
     Raises:
         ValueError: endpoints that cannot be; a name that is taken; keys that are none.
@@ -109,10 +112,12 @@ class Wire:
     links: Links
     heard: Callable[[int, bytes], None]
     refused: dict[str, str] = field(default_factory=dict)
+    gone: Callable[[int], None] = lambda _: None
 
     def __post_init__(self) -> None:
         import zenoh
 
+        self._ended = zenoh.SampleKind.DELETE
         for name in self.names:
             check_name("camera", name)
         self.session = open_session(self.links, self.place.name)
@@ -155,7 +160,10 @@ class Wire:
 
     def _noticed(self, sample: Any) -> None:
         *_, rig, name, _ = str(sample.key_expr).split("/")
-        if rig != self.place.rig:
+        if sample.kind == self._ended:
+            if rig == self.place.rig and name in self.names:
+                self.gone(self.names.index(name))
+        elif rig != self.place.rig:
             here = f"its calibration or its options are others than this node's ({rig[:8]} and {self.place.rig[:8]})"
             self._refuse(name, here)
 
