@@ -1,13 +1,22 @@
 """What rounds cost on a real network on this machine, and what a node does in rigs of up to 1,000 cameras.
 
     python benchmarks/network.py [--nodes 2 4 8 16] [--cameras 4 16 64 256 1000] [--recording FOLDER]
+    python benchmarks/network.py --tree 16 1000
+    python benchmarks/network.py --latency 2 4 8 16
+    python benchmarks/network.py --kills 20
+    python benchmarks/network.py --soak 30
 
 Rounds: so many processes tell each other 241 bytes, as a round of the alignment does, 500 times: milliseconds per round,
+median and 99 %, and milliseconds of processor time of a node.
 
 Cameras: what one node does in a round, without a network: milliseconds, and bytes that it hears.
 
 With a recording (a folder that `sylpose demo` has written), processes of `sylpose node` play it as fast as they can:
 milliseconds from images to the agreed pose, bytes and rounds per frame.
+
+Each of these does nothing else: `--tree`, what a tree would carry in rigs of so many cameras; `--latency`, from a frame to
+its pose with so many cameras, small pictures, in both modes; `--kills`, so many deaths of nodes at any moment; `--soak`,
+memory in so many minutes.
 """
 
 from __future__ import annotations
@@ -25,6 +34,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import network_kills, network_latency, network_soak, network_tree
 from sylpose import calibration
 from sylpose.network.agreed import agree_next, agree_start, agree_step
 from sylpose.network.presence import Answer, Ask, Enter, Heard, Present, Tell
@@ -134,7 +144,22 @@ def main() -> None:
     parser.add_argument("--nodes", type=int, nargs="*", default=[2, 4, 8, 16])
     parser.add_argument("--cameras", type=int, nargs="*", default=[4, 16, 64, 256, 1000])
     parser.add_argument("--recording", type=Path)
+    parser.add_argument("--tree", type=int, nargs="*", default=[])
+    parser.add_argument("--latency", type=int, nargs="*", default=[])
+    parser.add_argument("--kills", type=int)
+    parser.add_argument("--soak", type=float, metavar="MINUTES")
+    parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
+    if asked.tree or asked.latency or asked.kills or asked.soak:
+        if asked.tree:
+            print("\n".join([network_tree.HEAD, *(network_tree.table(n, seed=asked.seed) for n in asked.tree)]))
+        if asked.latency:
+            print(network_latency.table(asked.latency), flush=True)
+        if asked.kills:
+            print(network_kills.kills(asked.kills, seed=asked.seed), flush=True)
+        if asked.soak:
+            print(f"{network_soak.HEAD}\n{network_soak.soak(asked.soak)}", flush=True)
+        return
     print("| nodes | ms per round | 99 % | processor ms of a node |\n|---|---|---|---|", flush=True)
     for n in asked.nodes:
         print(rounds(n), flush=True)

@@ -15,15 +15,17 @@ import numpy as np
 import pytest
 
 from sylpose import calibration
+from sylpose.app.network_demo import node_command
 from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.network.agreed import Patience
 from sylpose.network.keys import make_keys
 from sylpose.network.node import Node, track_by_node
-from sylpose.network.presence import Answer, Ask, Present
+from sylpose.network.presence import Answer, Ask, Present, Tell
 from sylpose.network.runner import Runner
 from sylpose.network.simulated import Recorded, Reel
 from sylpose.network.wire import LOOPBACK, Links, Place, Wire, digest_of, watch_network
+from sylpose.network.words import Welcome
 from sylpose.paper.distributed.messages import Packet
 from sylpose.report.files import read_trajectory
 from sylpose.simulate import render_sequence
@@ -37,6 +39,7 @@ pytest.importorskip("zenoh")
 
 NAMES = ("cam_0", "cam_1", "cam_2")
 DEADLINE = 90.0  # seconds, of a busy machine
+SMALL = (240, 180)
 
 
 @pytest.fixture
@@ -102,6 +105,41 @@ def test_processes_have_the_trajectory_of_one(recording: tuple[Path, DemoTruth],
     # The other one found itself alone.
     assert "with cam_1;" in said[-1]
     assert "cam_0" not in said[-1]
+
+
+def test_eight_processes_say_what_one_finds(network: str, tmp_path: Path) -> None:
+    """Small pictures, so that two cores suffice."""
+    folder, names = tmp_path / "recording", [f"cam_{c}" for c in range(8)]
+    render_sequence(folder, frames=6, turn_deg=15, n_cameras=8, seed=7, size=SMALL)
+    poses: list[str] = []
+    session = watch_network(Links(), network, lambda *_: None, lambda _, line: poses.append(line))
+    nodes = []
+    for name in names:
+        nodes.append(subprocess.Popen(node_command(name, folder, tmp_path / name, network, 0.0, DEADLINE)))
+    try:
+        assert [node.wait(DEADLINE) for node in nodes] == [0] * 8
+    finally:
+        for node in nodes:
+            node.kill()
+    session.close()
+    lines = [json.loads(line) for line in poses]
+    there = open_session(folder)
+    expected = list(track(there.frames(), there.rig))
+    assert sum(f.pose.world_from_object is not None for f in expected) >= 5
+    for frame in expected:
+        pose = frame.pose.world_from_object
+        of_frame = [line for line in lines if line["frame"] == frame.pose.index]
+        assert [line["node"] for line in sorted(of_frame, key=lambda line: str(line["node"]))] == names
+        said = [(line["status"], line["position"], line["quaternion"]) for line in of_frame]
+        assert said == [said[0]] * 8
+        assert said[0][0] == frame.pose.status.value
+        assert all(line["took_part"] == names for line in of_frame)
+        if pose is None:
+            assert said[0][1] is None
+            continue
+        # As JSON says it; products of matrices may round otherwise where arrays lie elsewhere in memory.
+        np.testing.assert_allclose(said[0][1], pose.translation, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(said[0][2], pose.rotation.as_quat(), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -172,7 +210,8 @@ class Sessions:
         try:
             present = Present(c, len(rig), time.time_ns() % 2**32, 500, Patience(50, 1500))
             runner = Runner(present, work, send)  # type: ignore[arg-type]
-            wire = Wire(Place(rig.names[c], digest_of(rig), self.network), rig.names, Links(), runner.heard)
+            place = Place(rig.names[c], digest_of(rig), self.network)
+            wire = Wire(place, rig.names, Links(), runner.heard, gone=runner.gone)
             self.refused[c] = wire.refused
             try:
                 runner.run(lambda _: None, stop.is_set)
@@ -245,3 +284,50 @@ def test_names_are_taken_once_and_other_calibrations_are_named(sessions: Session
     assert "its calibration or its options are others" in sessions.refused[0]["cam_1"]
     sessions.wait(lambda: "cam_0" in other.refused)
     other.close()
+
+
+def test_who_has_gone_is_noticed_at_once(clip: Clip, network: str) -> None:  # noqa: F811
+    """By its links: nobody has to wait for as long as a camera may be silent."""
+    names, gone = clip.rig.names, list[int]()
+    ends = threading.Event()
+
+    def on_gone(camera: int) -> None:
+        gone.append(camera)
+        ends.set()
+
+    rig = digest_of(clip.rig)
+    here = Wire(Place(names[0], rig, network), names, Links(), lambda *_: None, gone=on_gone)
+    there = Wire(Place(names[2], rig, network), names, Links(), lambda *_: None)
+    other = Wire(Place(names[1], "0123456789abcdef", network), names, Links(), lambda *_: None)
+    # It has been seen, so its end is, too.
+    end = time.monotonic() + DEADLINE
+    while names[1] not in here.refused:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    other.close()
+    there.close()
+    assert ends.wait(DEADLINE)
+    here.close()
+    assert gone == [2]
+
+
+def test_of_who_has_gone_no_word_is_waited_for() -> None:
+    """As if it had been silent for long; a word that comes all the same counts."""
+
+    def work(ask: Callable[[Ask, int], Answer]) -> None:
+        ask(Tell(b"mine"), 0)
+
+    patience = Patience(50, 1500)
+    group = Welcome(0, 0, frozenset({0, 1}), b"")
+    runner = Runner(Present(0, 2, patience=patience, welcome=group), work, lambda _: 0)
+    begun, ended = time.monotonic(), list[float]()
+
+    def on_tick(present: Present) -> None:
+        if present.ticks == 3:
+            runner.gone(1)
+        if present.members == (0,) and not ended:
+            ended.append(float(present.ticks))
+
+    runner.run(on_tick, lambda: bool(ended) or time.monotonic() - begun > DEADLINE)
+    assert ended
+    assert 3 < ended[0] < 3 + patience.silent / 2

@@ -13,6 +13,7 @@ import numpy as np
 
 from sylpose.app import text
 from sylpose.app.demo import MAX_ERROR_DEG, render_demo, score
+from sylpose.methods import MODES
 from sylpose.network.wire import LOOPBACK, Links, watch_network
 from sylpose.numerics.arrays import FloatArray
 from sylpose.report.files import read_trajectory, read_tum
@@ -26,7 +27,9 @@ KILLED_AT, DEAD, STUCK = 0.35, 1.0, 180.0
 CAMERAS, RATE = 4, 30.0
 
 
-def node_command(camera: str, recording: Path, out: Path, network: str, speed: float, wait: float = 60.0) -> list[str]:
+def node_command(
+    camera: str, recording: Path, out: Path, network: str, speed: float, wait: float = 60.0, mode: str = MODES[0]
+) -> list[str]:
     """A node on a recording, as a user would start it."""
     asked = {
         "--calibration": recording / "calibration.toml",
@@ -35,6 +38,7 @@ def node_command(camera: str, recording: Path, out: Path, network: str, speed: f
         "--network": network,
         "--speed": speed,
         "--wait": wait,
+        "--mode": mode,
     }
     options = [str(part) for item in asked.items() for part in item]
     return [sys.executable, "-m", "sylpose", "node", camera, *options]

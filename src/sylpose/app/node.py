@@ -56,6 +56,7 @@ class Asked:
     patience: float
     method: str
     features: str
+    mode: str
     seed: int
 
 
@@ -97,7 +98,7 @@ def node_aloud(asked: Asked) -> bool:
     refused: dict[int, str] = {}
 
     def work(ask: Callable[[Ask, int], Answer]) -> None:
-        node = Node(c, len(rig), ask)
+        node = Node(c, len(rig), ask, asked.mode)
         node.refused = refused
         for tracked in _timed(node, rig, shots, boxes, asked, told):
             told.members, told.last = node.members, tracked.pose
@@ -108,7 +109,7 @@ def node_aloud(asked: Asked) -> bool:
 
     runner = Runner(present, work, lambda packets: wire.send(packets))
     # Before the files: those of a node of that name which is running stay as they are.
-    wire = Wire(place, rig.names, asked.links, runner.heard)
+    wire = Wire(place, rig.names, asked.links, runner.heard, gone=runner.gone)
     try:
         with TrajectoryWriter(folder, rig.names, rig.unit, stem=asked.camera) as writer, interrupted() as stopped:
             says = _Says(console, asked, rig, told, wire, refused, runner)
@@ -126,7 +127,9 @@ def node_aloud(asked: Asked) -> bool:
 
 def _alike(asked: Asked, boxes: dict[str, Box] | None) -> str:
     """What all nodes have to be asked for alike."""
-    return repr((__version__, asked.method, asked.features, asked.seed, asked.rate, sorted((boxes or {}).items())))
+    return repr(
+        (__version__, asked.method, asked.features, asked.mode, asked.seed, asked.rate, sorted((boxes or {}).items()))
+    )
 
 
 def _number(rig: Rig, camera: str, calibration: Path) -> int:

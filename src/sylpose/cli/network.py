@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from sylpose.cli.asked import Seed, app, examples, fail, one_of, spoken
-from sylpose.methods import FEATURES, METHODS, features_of
+from sylpose.methods import FEATURES, METHODS, MODES, features_of
 
 __all__ = ["demo_of_network", "init", "node", "nodes"]
 
@@ -94,6 +94,12 @@ def node(
     features: Annotated[
         str, typer.Option(metavar="|".join(FEATURES), help="As of sylpose track.", callback=one_of(FEATURES))
     ] = FEATURES[0],
+    mode: Annotated[
+        str,
+        typer.Option(
+            metavar="|".join(MODES), help="As one process, or in fewer rounds, nearly so.", callback=one_of(MODES)
+        ),
+    ] = MODES[0],
     seed: Seed = 0,
 ) -> None:
     """One camera of a rig on its own machine: it sees its own images, and finds the pose together with the other cameras.
@@ -125,7 +131,21 @@ def node(
     features_of(method, features)
     links = Links(listen, tuple(connect or ()), keys, multicast, calibrations.load(calibration).names)
     asked = Asked(
-        camera, calibration, source, boxes, out, network, links, rate, speed, wait, patience, method, features, seed
+        camera,
+        calibration,
+        source,
+        boxes,
+        out,
+        network,
+        links,
+        rate,
+        speed,
+        wait,
+        patience,
+        method,
+        features,
+        mode,
+        seed,
     )
     if not node_aloud(asked):
         fail([f"{camera}: no pose was found"])

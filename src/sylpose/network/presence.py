@@ -43,6 +43,7 @@ __all__ = [
     "answer",
     "asked",
     "present_step",
+    "silenced",
 ]
 
 # Ticks after which a node says again that it is there; after so many of these without it, it is not (choice).

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 
-from sylpose.network.presence import Present, answer, asked, present_step
+from sylpose.network.presence import Present, answer, asked, present_step, silenced
 from sylpose.network.talk import Talk, Work
 from sylpose.paper.distributed.messages import Packet
 
@@ -39,12 +40,18 @@ class Runner:
     rounds: int = 0
 
     def __post_init__(self) -> None:
-        # Messages, and None where the work has asked for something.
+        # Messages, and None where the work has asked for something, or somebody has gone.
         self._events: SimpleQueue[tuple[int, bytes] | None] = SimpleQueue()
+        self._gone: SimpleQueue[int] = SimpleQueue()
 
     def heard(self, sender: int, data: bytes) -> None:
         """A message, from any thread."""
         self._events.put((sender, data))
+
+    def gone(self, camera: int) -> None:
+        """Its link has ended: it is as if it had been silent for long. From any thread."""
+        self._gone.put(camera)
+        self._events.put(None)
 
     def run(self, on_tick: Callable[[Present], None], stop: Callable[[], bool]) -> None:
         """Until the work is through, or is to be stopped.
@@ -81,6 +88,9 @@ class Runner:
             return [event for event in events if event is not None]
 
     def _step(self, talk: Talk, inbox: Sequence[tuple[int, bytes]], tick: bool) -> None:
+        with suppress(Empty):
+            while True:
+                self.present = _without(self.present, self._gone.get_nowait())
         present, packets = present_step(self.present, inbox, tick=tick)
         self.bytes_sent += self.send(packets)
         while True:
@@ -96,3 +106,10 @@ class Runner:
             self.rounds += 1
             talk.hears(answered)
         self.present = present
+
+
+def _without(present: Present, camera: int) -> Present:
+    """A word of it, should it come, is heard all the same."""
+    if present.agreeing is None:
+        return present
+    return replace(present, agreeing=silenced(present.agreeing, camera, present.patience.silent))

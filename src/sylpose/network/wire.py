@@ -7,6 +7,7 @@ not mix in and can be named. With keys (`network.keys`) links are mutual TLS, an
 from __future__ import annotations
 
 import json
+import os
 import re
 import time
 from collections.abc import Callable, Sequence
@@ -29,8 +30,13 @@ VERSION = 1
 LOOPBACK = "127.0.0.1:0"  # this machine only, at any port (choice)
 # Names that may be part of a key.
 NAME = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
-# Milliseconds after which a link without a sign of life is closed; seconds to wait for who is there already (choice).
-LEASE_MS, FIRST_LOOK = 1000, 1.0
+# Milliseconds after which a link without a sign of life is closed; seconds to wait for anybody who is there already, and
+# from the first one on for others (choice).
+LEASE_MS, FIRST_LOOK, NEXT_LOOK = 1000, 1.0, 0.3
+# Threads of Zenoh that receive. One that closes a link to a machine that was unplugged stands still until the system gives
+# up what it has not sent, for ten seconds; with the two that are Zenoh's own choice, two such links silence all others
+# (choice: so many may die at once).
+THREADS = 32
 # Names that are remembered as refused (choice).
 MOST_REFUSED = 64
 
@@ -92,7 +98,10 @@ class Links:
 
 @dataclass
 class Wire:
-    """A node's links. Messages come in at `heard`, called from other threads, with the name of who says it.
+    """A node's links. Messages come in at `heard`, called from other threads, with the number of who says it.
+
+    Args:
+        gone: called in the same way when a node's link has ended: it has died, or cannot be reached.
 
     Raises:
         ValueError: endpoints that cannot be; a name that is taken; keys that are none.
@@ -103,10 +112,12 @@ class Wire:
     links: Links
     heard: Callable[[int, bytes], None]
     refused: dict[str, str] = field(default_factory=dict)
+    gone: Callable[[int], None] = lambda _: None
 
     def __post_init__(self) -> None:
         import zenoh
 
+        self._ended = zenoh.SampleKind.DELETE
         for name in self.names:
             check_name("camera", name)
         self.session = open_session(self.links, self.place.name)
@@ -137,19 +148,22 @@ class Wire:
 
     def _token(self, name: str) -> bool:
         """Whether a node of that name is there."""
-        until = time.monotonic() + FIRST_LOOK
+        until, met = time.monotonic() + FIRST_LOOK, False
         while time.monotonic() < until:
             replies = self.session.liveliness().get(self.place.key("alive", name=name), timeout=0.3)
             if any(reply.ok is not None for reply in replies):
                 return True
-            if self.session.info.peers_zid():
-                time.sleep(0.1)
+            if not met and self.session.info.peers_zid():
+                met, until = True, min(until, time.monotonic() + NEXT_LOOK)
             time.sleep(0.05)
         return False
 
     def _noticed(self, sample: Any) -> None:
         *_, rig, name, _ = str(sample.key_expr).split("/")
-        if rig != self.place.rig:
+        if sample.kind == self._ended:
+            if rig == self.place.rig and name in self.names:
+                self.gone(self.names.index(name))
+        elif rig != self.place.rig:
             here = f"its calibration or its options are others than this node's ({rig[:8]} and {self.place.rig[:8]})"
             self._refuse(name, here)
 
@@ -202,6 +216,8 @@ def open_session(links: Links, name: str) -> Any:
     """
     import zenoh
 
+    # Read with the first session of a process.
+    os.environ.setdefault("ZENOH_RUNTIME", f"(rx: (worker_threads: {THREADS}))")
     zenoh.init_log_from_env_or("off")
     config = zenoh.Config()
     protocol = "tcp" if links.keys is None else "tls"
