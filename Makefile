@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo demo-network test lint format bench bench-tracking bench-paper clean
+.PHONY: demo demo-network test test-slow lint format bench bench-tracking bench-paper clean
 
 # The package's own file has the version.
 $(VENV)/.installed: pyproject.toml src/sylpose/__init__.py
@@ -34,6 +34,10 @@ test: lint
 	-find src -name '*.nb[ic]' ! -newer "$$(find src -name '*.py' -exec ls -t {} + | head -1)" -delete
 	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/python -m pytest -n auto --dist loadfile
+
+# What processes of their own do beside each other, which takes minutes and a machine that has time for it.
+test-slow: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m slow
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -135,6 +135,7 @@ def group(c: int) -> set[int]:
     return next(set(cameras) for cameras in MACHINES.values() if c in cameras)
 
 
+@pytest.mark.slow
 def test_two_groups_go_on_and_become_one_again(
     machines: Machines, scene_folder: tuple[Path, list[Rotation]], tmp_path: Path
 ) -> None:

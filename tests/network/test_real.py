@@ -107,6 +107,7 @@ def test_processes_have_the_trajectory_of_one(recording: tuple[Path, DemoTruth],
     assert "cam_0" not in said[-1]
 
 
+@pytest.mark.slow
 def test_eight_processes_say_what_one_finds(network: str, tmp_path: Path) -> None:
     """Small pictures, so that two cores suffice."""
     folder, names = tmp_path / "recording", [f"cam_{c}" for c in range(8)]
