@@ -31,7 +31,17 @@ from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.matrices import transpose
 from sylpose.paper.orthographic import ROUNDING, Views
 
-__all__ = ["FAULT", "AffineFits", "Scores", "affine_fits", "agreed_rotation", "score", "settled"]
+__all__ = [
+    "FAULT",
+    "AffineFits",
+    "Scores",
+    "affine_fits",
+    "agreed_rotation",
+    "normal_equations",
+    "score",
+    "settled",
+    "turned",
+]
 
 
 # What is believed of a camera's view: slopes of the plane of depths (choice), change of scale (choice: an object that comes
@@ -183,17 +193,28 @@ def _refined(
     their information (K, 3, 3). A turn of about one radian is expected, no more."""
     information = np.empty((0, 3, 3))
     for _ in range(bound):
-        s = score(fits, rotations)
-        weighted = transpose(s.jacobian) @ s.precision * masks[..., None, None]
-        information = np.eye(3) + (weighted @ s.jacobian).sum(axis=1)
-        gradient = (weighted @ s.difference[..., None]).sum(axis=1)
-        step = np.linalg.solve(information, gradient)[..., 0]
-        length = np.linalg.norm(step, axis=1, keepdims=True)
-        step /= np.maximum(length / LONGEST_STEP, 1.0)
-        rotations = Rotation.from_rotvec(step).as_matrix() @ rotations
+        information, gradient = normal_equations(fits, rotations, masks)
+        rotations, length = turned(rotations, information, gradient)
+        information += np.eye(3)
         if length.max() < SETTLED:
             break
     return rotations, information
+
+
+def normal_equations(fits: AffineFits, rotations: FloatArray, masks: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """What the cameras in K masks (K, n) say of w, R = exp(w) R, at K rotations: information (K, 3, 3), gradient (K, 3)."""
+    s = score(fits, rotations)
+    weighted = transpose(s.jacobian) @ s.precision * masks[..., None, None]
+    return (weighted @ s.jacobian).sum(axis=1), (weighted @ s.difference[..., None]).sum(axis=1)[..., 0]
+
+
+def turned(rotations: FloatArray, information: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """K rotations after a step by `normal_equations`, a turn of about one radian being expected, and how far the step wanted
+    to go (K,), radians."""
+    step = np.linalg.solve(np.eye(3) + information, gradient[..., None])[..., 0]
+    length = np.linalg.norm(step, axis=1)
+    step /= np.maximum(length / LONGEST_STEP, 1.0)[:, None]
+    return Rotation.from_rotvec(step).as_matrix() @ rotations, length
 
 
 def agreed_rotation(fits: AffineFits, plain: FloatArray) -> tuple[FloatArray, bool]:

@@ -34,6 +34,7 @@ __all__ = [
     "diagnose",
     "doubt_of",
     "solve_robust",
+    "stand_still",
     "suspect_cameras",
 ]
 
@@ -171,7 +172,7 @@ def diagnose(
     """
     labels = _labels(names, len(moments))
     fits = affine_fits(views_of(rotations, moments, aim=aim))
-    still, junk = _still(moments, fits), _junk(fits)
+    still, junk = stand_still(moments, fits), _junk(fits)
     kinds = _kinds(still, junk > JUNK)
     voters = np.flatnonzero(junk <= FAULT)
     if len(voters) == 0:
@@ -212,7 +213,7 @@ def suspect_cameras(
     R = checked_rotations(np.asarray(rotation, dtype=float)[None], 1)[0]
     labels = _labels(names, len(moments))
     fits = affine_fits(views_of(rotations, moments, aim=aim))
-    still, junk = _still(moments, fits), _junk(fits)
+    still, junk = stand_still(moments, fits), _junk(fits)
     scores = np.maximum(score(fits, R[None]).squared[0], junk)
     scores[np.isin(fits.camera, np.asarray(at_fault, dtype=np.int64))] = np.inf
     return _report(labels, fits, _kinds(still, junk > JUNK), R, scores, True)
@@ -235,7 +236,7 @@ def _junk(fits: AffineFits) -> FloatArray:
     return np.asarray(np.maximum(1 - values[:, 0], 0.0) ** 2 / variance)
 
 
-def _still(moments: Sequence[PairMoments], fits: AffineFits) -> BoolArray:
+def stand_still(moments: Sequence[PairMoments], fits: AffineFits) -> BoolArray:
     """(n,) cameras whose matches do not move by more than their noise."""
     if len(fits.camera) == 0:
         return np.zeros(0, dtype=bool)

@@ -22,11 +22,12 @@ extrapolation has led astray, they leap (`leaping`): 72 and 40 bytes more.
 When all have settled each says once what surfaces may have done to the common rotation (`paper.surfaces`), so that all know
 the covariance that the centralised estimator has: 640 bytes more.
 
-And each says how well the common rotation suits it: whether its own matches allow it (`doubt_of`). Who
-doubts, or finds that another has not come to the same rotation, that a camera has died or come late, or that there is no
-end, calls for the evidence: all show their moments, and each has the verdict on them (`showing`). So only rotations are
-revealed as long as nobody doubts, and bad cameras and liars are found by what they show. Nor is the scheme secret: about
-ten rounds of V are enough to work out H_c and h_c.
+Whether there is a rotation that suits everybody's matches they find on the way (`votes`: 88 bytes more in two to five
+messages). Where there is none, or the common rotation is further from it than surfaces explain, one calls for the evidence,
+and so does who finds that another has not come to the same rotation, that a camera has died or come late, or that there is
+no end: all show their moments, and each has the verdict on them (`showing`). So moments are kept back as long as nobody
+doubts, and bad cameras and liars are found by what they show. Nor is the scheme secret: about ten rounds of V are enough to
+work out H_c and h_c.
 
 Source: C. Chen, D. Schonfeld, "Pose estimation from multiple cameras based on Sylvester's equation" (2010), for the
 scheme; S. Boyd et al., "Distributed optimization and statistical learning via ADMM" (2011), sections 3 and 7. The rest
@@ -47,7 +48,7 @@ from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import symmetric_of, upper_of
 from sylpose.paper.affine_votes import AffineFits, affine_fits
-from sylpose.paper.bad_cameras import TRUSTED, doubt_of
+from sylpose.paper.bad_cameras import TRUSTED, doubt_of, stand_still
 from sylpose.paper.distributed import leaping
 from sylpose.paper.distributed.anderson import History, extended, extrapolated
 from sylpose.paper.distributed.evidence import SURFACES, evidence_of, noise_of, packed_sums, unpacked_sums
@@ -55,6 +56,7 @@ from sylpose.paper.distributed.keeping_step import Link, heard, packets, said
 from sylpose.paper.distributed.messages import Inbox, Message, Packet
 from sylpose.paper.distributed.showing import AGREED, SHOW, agreeing, answered, concluded, shown_by
 from sylpose.paper.distributed.verdict import UNKNOWN, Verdict
+from sylpose.paper.distributed.votes import IDLE, VOTE, Search, begun, searched, vote_of
 from sylpose.paper.equation import solve_generalized_sylvester
 from sylpose.paper.one_camera import solve_one_camera
 from sylpose.paper.orthographic import Views, terms_of, views_of
@@ -68,6 +70,13 @@ __all__ = ["RefineState", "refine_start", "refine_step"]
 PENALTY, RELAXATION = 0.1, 1.6
 # Relative change of a message that is none: well above rounding's 1e-16, well below 1e-8 rad (choice).
 SETTLED = 1e-11
+# Relative change of a message from which on a rotation that suits all is sought (choice: a tenth of a degree a
+# step).
+NEAR = 1e-3
+# The common rotation is wrong, and not merely biased, where it is further from the one that suits all than this, squared, in
+# units of its covariance, or has a camera's score above this (measured: docs/benchmarks.md#distributed, boxes and ellipsoids
+# before rigs that are not level have 11 and 60 at most, with three cameras once 30).
+FAR, WRONG = 25.0, 100.0
 # Steps after which there will be no end (choice: twice the most of all rigs and recordings,
 # docs/benchmarks.md#distributed).
 LONG = 150
@@ -75,9 +84,10 @@ LONG = 150
 # nearer by (choice).
 HUGE = 1e5
 
-# V, 9 numbers; a report, 13 more; a curve, 5 more, or what is said of surfaces (derived).
+# V, 9 numbers; perhaps a vote; a report, 13 more; a curve, 5 more, or what is said of surfaces (derived).
 REPORT, CURVE = 13, 5
-SIZES = (9, 9 + REPORT, 9 + REPORT + CURVE, 9 + REPORT + SURFACES)
+PARTS = (0, REPORT, REPORT + CURVE, REPORT + SURFACES)
+SIZES = (*(9 + n for n in PARTS), *(9 + VOTE + n for n in PARTS))
 
 
 class Member(NamedTuple):
@@ -86,12 +96,14 @@ class Member(NamedTuple):
     Attributes:
         V: (3, 3) as it enters the mean.
         change: relative change by the last message.
+        vote: in its newest message, while a rotation that suits all is sought (`votes`). Else empty.
         report: in its newest message, if it has settled or is to leap: of its evidence at its Z the Hessian (6), cost, size
             and weight; how much it doubts; Z as a rotation vector; then the numbers of a curve, or of surfaces. Else empty.
     """
 
     V: FloatArray
     change: float
+    vote: FloatArray
     report: FloatArray
 
 
@@ -101,11 +113,12 @@ class RefineState:
 
     Attributes:
         camera_rotation, moments: (3, 3) Q and what it saw: shown when somebody calls for it. views: the same as it is used;
-            fits: its affine image.
+            fits: its affine image, and whether it stands `still`.
         evidence, penalty, gain: its H_c, h_c; p_c; p_c times the solutions of A_c R B_c + p_c R = E_k, columns of (9, 9).
         link: what it has said and heard. Message n of all is what step n is made with.
         members: the cameras that take part.
         history: of all members' V (`anderson`).
+        search: for a rotation that suits all (`votes`), begun once Z is nearly known.
         astray: the extrapolation has led astray; settled or not, a leap is to come.
         line: axis (3,) and rotation that the curve in its last message is of, if there is one.
         leapt: a leap, no step of ADMM, led to its last message. leaps: how many there were.
@@ -120,6 +133,7 @@ class RefineState:
     aim: bool
     views: Views
     fits: AffineFits
+    still: bool
     evidence: Quadratic
     penalty: float
     gain: FloatArray
@@ -127,6 +141,7 @@ class RefineState:
     link: Link
     members: dict[int, Member] = field(default_factory=dict)
     history: History = ()
+    search: Search = IDLE
     astray: bool = False
     line: tuple[FloatArray, FloatArray] | None = None
     leapt: bool = False
@@ -180,7 +195,10 @@ def refine_start(
         solved = solve_generalized_sylvester([A[0], penalty * np.eye(3)], [B[0], np.eye(3)], right_sides)
         gain, V = penalty * solved.reshape(9, 9).T, penalty * own
     link = Link(camera, tuple(c for c in others if c != camera), Message(0, True, False, V.ravel()))
-    s = RefineState(Q, moments, aim, views, affine_fits(views), e, penalty, gain, bound, link)
+    fits = affine_fits(views)
+    s = RefineState(
+        Q, moments, aim, views, fits, bool(stand_still([moments], fits).any()), e, penalty, gain, bound, link
+    )
     if doubt_of(s.fits) > TRUSTED:
         s = _called(s)
     return s, packets(s.link)
@@ -239,7 +257,9 @@ def _updated(s: RefineState) -> RefineState:
     for c in sorted(news):  # sums come out the same at every camera
         V, old = news[c].values[:9].reshape(3, 3), s.members.get(c)
         change = 1.0 if old is None else float(np.linalg.norm(V - old.V)) / (size[c] or 1.0)
-        members[c] = Member(V, change, news[c].values[9:])
+        parts = news[c].values[9:]
+        n = VOTE if len(parts) - VOTE in PARTS else 0
+        members[c] = Member(V, change, parts[:n], parts[n:])
     history: History = ()
     if s.link.number > 0 and not s.leapt:
         before = np.array([s.members[c].V for c in members])
@@ -259,7 +279,9 @@ def _refined(s: RefineState) -> RefineState:
     Z = _nearest_rotation(total)
     R = (s.gain @ (s.evidence.h + (2 * s.penalty * Z - V).ravel())).reshape(3, 3)  # times p
     V = V + RELAXATION * (R - s.penalty * Z)
-    settled = max(m.change for m in s.members.values()) < SETTLED
+    change = max(m.change for m in s.members.values())
+    search = _searched(s) if s.search.begun else begun(Z) if change < NEAR else IDLE
+    settled = change < SETTLED and search.over
     own = _report(s, Z) if settled or s.astray else np.zeros(0)
     reports = {c: own if c == s.camera else m.report for c, m in s.members.items()}
     verdict, line, leap = UNKNOWN, None, False
@@ -268,14 +290,18 @@ def _refined(s: RefineState) -> RefineState:
         curvature, axes = np.linalg.eigh(hessian)
         if settled:
             others = Rotation.from_rotvec([r[10:13] for r in reports.values()]).as_matrix()
-            apart = np.linalg.norm(others - Z, axis=(1, 2)).max()
-            if apart > AGREED or max(r[9] for r in reports.values()) > TRUSTED:
+            if np.linalg.norm(others - Z, axis=(1, 2)).max() > AGREED or search.worst > TRUSTED:
                 return _called(s)
         if settled and curvature[0] > -FLAT * curvature[2] and min(size, weight) > 0:
+            if max(r[9] for r in reports.values()) > WRONG:
+                return _called(s)
             noise = noise_of(cost, size, weight)
             told = _last_parts(s, reports)
             if all(values.size == SURFACES for values in told):
                 information = information_of(unpacked_sums(np.sum(told, axis=0), noise), noise)
+                off = Rotation.from_matrix(search.rotation @ Z.T).as_rotvec()
+                if off @ information @ off > FAR:
+                    return _called(s)
                 verdict = Verdict(Z, information, True, weights=dict.fromkeys(s.members, 1.0))
             else:
                 own = np.concatenate([own, packed_sums(sums_of(s.views, Z, size, noise), noise)])
@@ -288,11 +314,13 @@ def _refined(s: RefineState) -> RefineState:
     if leap and s.line is not None:
         Z = leaping.lowest(np.sum(_last_parts(s, reports), axis=0), *s.line)
         V = s.penalty * Z - (s.evidence.H @ Z.ravel() - s.evidence.h).reshape(3, 3)
-        own, line = np.zeros(0), None
-    message = Message(step, True, settled and line is None and not leap, np.concatenate([V.ravel(), own]))
+        own, line, search = np.zeros(0), None, IDLE
+    vote = vote_of(s.fits, s.still, search.rotation) if search.begun and not search.over else np.zeros(0)
+    message = Message(step, True, settled and line is None and not leap, np.concatenate([V.ravel(), vote, own]))
     return replace(
         s,
         link=said(s.link, message),
+        search=search,
         astray=s.astray and not leap,
         line=line,
         leapt=leap,
@@ -302,9 +330,15 @@ def _refined(s: RefineState) -> RefineState:
     )
 
 
+def _searched(s: RefineState) -> Search:
+    """A step further, if all have voted."""
+    votes = {c: m.vote for c, m in s.members.items()}
+    return searched(s.search, votes) if all(v.size for v in votes.values()) else s.search
+
+
 def _last_parts(s: RefineState, reports: Mapping[int, FloatArray]) -> list[FloatArray]:
     """What the last message of each had after its report, this camera's included."""
-    return [s.link.sent.values[9 + REPORT :] if c == s.camera else r[REPORT:] for c, r in reports.items()]
+    return [s.members[c].report[REPORT:] for c in reports]
 
 
 def _report(s: RefineState, Z: FloatArray) -> FloatArray:
