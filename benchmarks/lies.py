@@ -18,7 +18,7 @@ from typing import get_args
 
 import numpy as np
 
-from benchmarks.nodes import difference
+from benchmarks.nodes import agree
 from sylpose.methods import MODES
 from sylpose.network.lies import Lie
 from sylpose.network.simulated import track_by_nodes
@@ -67,10 +67,10 @@ def main() -> None:
                     clip.frames(), clip.rig, clip.boxes, lies={LIAR: lie}, mode=mode, disturbances=disturbances
                 )
                 good = [c for c in range(CAMERAS) if c != LIAR]
-                first, *others = (outcome.frames[c] for c in good)
+                first = outcome.frames[good[0]]
                 ratios.append(rms(first[:FRAMES], clip) / was)
                 lost += sum(f.pose.status is FrameStatus.LOST for f in first)
-                alike += all(len(o) == len(first) and difference(o, first) == (0, 0.0, 0.0) for o in others)
+                alike += agree(outcome, good)
                 out += all(LIAR not in outcome.members[c] for c in good)
                 said[outcome.refused[good[0]].get(LIAR, "nothing")] += 1
                 steps += outcome.steps

@@ -31,6 +31,7 @@ class Network:
         self.under_way: dict[int, list[tuple[int, int, bytes]]] = {}
         self.states: list[Agreeing | None] = [None] * n
         self.outcomes: list[list[dict[int, bytes]]] = [[] for _ in range(n)]
+        self.again = [0] * n
 
     def run(self, most: int = 5000) -> None:
         while self.now < most and not all(self.through(c) for c in range(self.n)):
@@ -47,12 +48,19 @@ class Network:
 
     def step(self, c: int, inbox: list[tuple[int, bytes]]) -> None:
         state = self.states[c]
+        if state is not None and state.outcast and state.outcome is not None:
+            return
         s, packets = agree_start(c, range(self.n), word(c, 0)) if state is None else agree_step(state, inbox)
         self.send(c, packets)
-        while s.outcome is not None and len(self.outcomes[c]) < ROUNDS:
-            self.outcomes[c].append(dict(s.outcome))
+        while s.outcome is not None and len(self.outcomes[c]) < ROUNDS and not s.outcast:
+            if s.again:
+                # The last word of each counts for nothing: it is told once more.
+                self.again[c] += 1
+                self.outcomes[c] = self.outcomes[c][:-1]
+            else:
+                self.outcomes[c].append(dict(s.outcome))
             if len(self.outcomes[c]) < ROUNDS:
-                s, packets = agree_next(s, word(c, s.round + 1))
+                s, packets = agree_next(s, word(c, len(self.outcomes[c])))
                 self.send(c, packets)
         self.states[c] = s
 
@@ -99,7 +107,7 @@ class WithLiar(Network):
     ) -> None:
         super().__init__(n, seed, loss, delay, {})
         self.liar, self.often, self.kinds = liar, often, kinds
-        self.false, self.again = 0.5, [0] * n
+        self.false = 0.5
 
     def through(self, c: int) -> bool:
         return c == self.liar or self.outcast(c) or super().through(c)
@@ -107,24 +115,6 @@ class WithLiar(Network):
     def outcast(self, c: int) -> bool:
         state = self.states[c]
         return state is not None and state.outcast
-
-    def step(self, c: int, inbox: list[tuple[int, bytes]]) -> None:
-        state = self.states[c]
-        if state is not None and state.outcast and state.outcome is not None:
-            return
-        s, packets = agree_start(c, range(self.n), word(c, 0)) if state is None else agree_step(state, inbox)
-        self.send(c, packets)
-        while s.outcome is not None and len(self.outcomes[c]) < ROUNDS and not s.outcast:
-            if s.again:
-                # The last word of each counts for nothing: it is told once more.
-                self.again[c] += 1
-                self.outcomes[c] = self.outcomes[c][:-1]
-            else:
-                self.outcomes[c].append(dict(s.outcome))
-            if len(self.outcomes[c]) < ROUNDS:
-                s, packets = agree_next(s, word(c, len(self.outcomes[c])))
-                self.send(c, packets)
-        self.states[c] = s
 
     def send(self, c: int, packets: list[Packet]) -> None:
         for packet in packets:

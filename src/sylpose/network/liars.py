@@ -13,7 +13,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from itertools import chain
+from itertools import chain, permutations
 from typing import NamedTuple, TypeAlias
 
 from sylpose.network.words import BITS, bits_of, of_bits
@@ -46,16 +46,16 @@ class Blame(NamedTuple):
     def sentences(self, names: Sequence[str] | None = None) -> dict[int, str]:
         """Camera -> what is said of it; names: of all cameras."""
         called = (lambda c: f"camera {c}") if names is None else names.__getitem__
-        said = {c: f"it or {called(o)} lies of what it told" for pair in self.pairs for c, o in _both_ways(pair)}
+        said = {c: f"it or {called(o)} lies of what it told" for pair in self.pairs for c, o in permutations(pair)}
         return {**said, **dict.fromkeys(self.alone, "it told others something else")}
 
 
 NOBODY_LIES = Blame(frozenset(), frozenset())
 
 
-def _both_ways(pair: frozenset[int]) -> list[tuple[int, int]]:
-    a, b = sorted(pair)
-    return [(a, b), (b, a)]
+def _most_said(said: Collection[bytes]) -> tuple[bytes, int]:
+    """What most say, and how many; of several the same one everywhere."""
+    return max(Counter(said).items(), key=lambda one: one[::-1], default=(b"", 0))
 
 
 def liars(
@@ -72,7 +72,7 @@ def liars(
     for camera in {*rows, *chain(*rows.values())}:
         # What a camera says of itself is no evidence.
         heard = {c: row.get(camera, b"") for c, row in rows.items() if c != camera}
-        most = max(Counter(heard.values()).items(), key=lambda kind: kind[::-1], default=(b"", 0))[0]
+        most, _ = _most_said(heard.values())
         odd = [c for c, data in heard.items() if data != most]
         known = blame.suspects & heard.keys()
         if len(odd) == 1 and len(heard) >= LISTENERS:
@@ -122,7 +122,7 @@ def verdict(
     rows, accused, unclear = dict[int, Mapping[int, bytes]](), dict[int, frozenset[int]](), set[int]()
     for camera in sorted(cameras):
         others = [claims.get(camera, b"") for c, claims in received.items() if c != camera and c not in blame.suspects]
-        said, count = max(Counter(others).items(), key=lambda one: one[::-1], default=(b"", 0))
+        said, count = _most_said(others)
         odd, heard = said[:BITS], said[BITS:]
         if 2 * count > len(others) and odd and len(heard) % _HEARD.size == 0:
             rows[camera], accused[camera] = dict(_HEARD.iter_unpack(heard)), of_bits(odd)

@@ -205,17 +205,16 @@ def track_by_node(
     tracking = Tracking(rig, parts, node, boxes, method=method, features=features, offsets=offsets, seed=seed)
     wanted, taken_in, found = 0, -1, list[TrackedFrame]()
     while True:
+        if enters:
+            entered, enters = node.enter(), False
+            if entered is not None:
+                handover, wanted = entered
+                taken_in = wanted
+                node.since = -1
+                tracking.take_over(handover, new=True)
         # What all have heard alike so far.
         memory = tracking.remembered()
         try:
-            if enters:
-                entered, enters = node.enter(), False
-                if entered is not None:
-                    handover, wanted = entered
-                    taken_in = wanted
-                    node.since = -1
-                    tracking.take_over(handover, new=True)
-                    memory = tracking.remembered()
             node.frames = tracking.number
             rolls = node.call(*shots.newest(wanted))
             if all(roll.outdone for roll in rolls):

@@ -96,7 +96,7 @@ def _is_count(value: object, unknown: bool) -> bool:
     return bool(((numbers >= 0) & (numbers <= MOST) | (np.isnan(numbers) & unknown)).all())
 
 
-def _are_points(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]], most: float = FARTHEST) -> bool:
+def _are_points(points: FloatArray, most: float = FARTHEST) -> bool:
     return bool(np.isfinite(points).all() and (np.abs(points) < most).all())
 
 
