@@ -121,7 +121,7 @@ def test_a_recording_is_played_at_its_speed_and_whole(tmp_path: Path) -> None:
 
 
 def roll(newest: int, *newcomers: int) -> Roll:
-    return Roll(newest, 0.0, newcomers, False)
+    return Roll(newest, 0.0, newcomers, False, True)
 
 
 def test_the_next_frame_is_one_that_half_of_the_cameras_have() -> None:

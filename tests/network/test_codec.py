@@ -85,7 +85,7 @@ SAMPLES = [
     Anchor(SOLVED),
     VELOCITY,
     NUDGE,
-    Roll(12, np.nan, (1, 3), False),
+    Roll(12, np.nan, (1, 3), False, True),
 ]
 
 

@@ -64,6 +64,24 @@ def test_who_is_not_taken_in_goes_on_apart_for_a_while() -> None:
     assert heard.outdone
 
 
+@pytest.mark.parametrize(
+    ("mine", "others", "outdone"),
+    [
+        (9, Hello(2, 50), True),  # the larger one goes on,
+        (9, Hello(2, 0), False),  # unless nobody in it knows the object,
+        (0, Hello(1, 3), True),
+        (0, Hello(2, 0), True),  # or in none of them does anybody.
+        (9, Hello(1, 50), False),  # Of two alike it is the one with the first camera.
+    ],
+)
+def test_who_knows_the_object_counts_for_more_than_who_are_many(mine: int, others: Hello, outdone: bool) -> None:
+    p, _ = answer(stepped(alone(wait=0), 1, []))
+    p, _ = asked(p, Tell(b"x"), mine)
+    heard = answer(stepped(p, 1, [(1, said_hello(1, 3, others))]))[1]
+    assert isinstance(heard, Heard)
+    assert heard.outdone == outdone
+
+
 def test_a_node_that_was_welcomed_says_that_it_is_at_work() -> None:
     """Until it has learnt what it was told: else it would be given up as silent."""
     welcome = welcomed(1, Welcome(17, 5, frozenset({0, 1, 2}), b"all"))

@@ -218,6 +218,27 @@ def test_cameras_that_all_come_late_found_a_group(clip: Clip) -> None:
     assert_agreed(outcome, range(3))
 
 
+def test_where_nobody_has_seen_the_object_it_is_looked_for_anew() -> None:
+    """Those that have seen it are gone as the others are taken in, who know where it is and would not know it again. Its
+    frame is another one then, and that is said."""
+    clip = Clip.render(demo_scene(frames=24, turn_deg=50, size=SIZE, n_cameras=3, seed=2))
+    disturbances = Disturbances(dies={0: 186, 1: 100, 2: 100}, returns={0: 306, 1: 130, 2: 130})
+    outcome = track_by_nodes(clip.frames(), clip.rig, clip.boxes, disturbances=disturbances)
+    assert outcome.members == [(0, 1, 2)] * 3
+    for c, found in enumerate(outcome.frames):
+        started = [f for f in found if f.pose.index and f.pose.status is FrameStatus.FIRST]
+        assert sum(f.pose.measured for f in found[-15:]) == 15
+        if c == 0:  # it came back when that had been found
+            assert not started
+        else:
+            (first,) = started
+            assert first.pose.faults == ("from here on poses are told in another frame of the object",)
+            assert not any(f.pose.faults for f in found if f is not first)
+        # In that frame it is followed as well as in any.
+        off = errors(found[-12:], clip.truth)[:, 0]
+        assert np.ptp(off) < 0.5
+
+
 def test_a_recording_without_frames_is_none(clip: Clip) -> None:
     outcome = track_by_nodes([], clip.rig, clip.boxes)
     assert outcome.frames == [[], [], []]

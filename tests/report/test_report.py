@@ -151,6 +151,19 @@ def test_every_line_is_on_disk_at_once(tmp_path: Path) -> None:
     assert len(read_tum(tmp_path / "trajectory.tum")[0]) == 4
 
 
+def test_a_frame_that_is_told_again_replaces_what_was_told_from_there_on(tmp_path: Path) -> None:
+    """Of a node that has gone back to where others are."""
+    told, again = turning(6, 10), turning(6, 20)
+    with TrajectoryWriter(tmp_path / "both", NAMES) as writer:
+        for frame in (*told, *again.frames[3:]):
+            writer.write(frame)
+    with TrajectoryWriter(tmp_path / "once", NAMES) as writer:
+        for frame in (*told.frames[:3], *again.frames[3:]):
+            writer.write(frame)
+    for name in ("trajectory.csv", "trajectory.tum"):
+        assert (tmp_path / "both" / name).read_bytes() == (tmp_path / "once" / name).read_bytes()
+
+
 def test_an_exception_in_the_block_keeps_what_was_written(tmp_path: Path) -> None:
     trajectory = turning(3, 10)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Protocol, TypeVar, cast
 
 import numpy as np
@@ -18,6 +19,7 @@ from sylpose.network.sound import objection
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.crew import Alignment
+from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.handover import Handover, check_handover
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.tracked_frame import TrackedFrame
@@ -30,6 +32,9 @@ T = TypeVar("T")
 NOBODY: frozenset[int] = frozenset()
 # Cameras' time stamps of one instant are less apart, seconds (choice: no camera waits so long for the others).
 APART = 1.0
+# Poses less than this apart, radians, and as a share of the distance, are one but for rounding (choice).
+ALIKE = 1e-6
+ANOTHER_FRAME = "from here on poses are told in another frame of the object"
 
 
 class Again(Exception):
@@ -74,7 +79,7 @@ class Node:
         camera, cameras: as given.
         members: who took part in the last round.
         refused: camera -> why its first word of no meaning was taken for nothing.
-        frames: that were tracked.
+        frames: that were tracked, as long as anybody in its group knows the object.
         since: index of the first frame since it has entered its group.
     """
 
@@ -143,10 +148,10 @@ class Node:
 
     # --- a member of a group ------------------------------------------------------------------------------------------
 
-    def call(self, newest: int, time: float | None) -> list[Roll]:
-        """The roll of all members."""
+    def call(self, newest: int, time: float | None, knows: bool) -> list[Roll]:
+        """The roll of all members. Arguments as in `Roll`."""
         stamp = np.nan if time is None else time
-        mine = Roll(newest, stamp, tuple(sorted(self._heard.newcomers)), self._heard.outdone)
+        mine = Roll(newest, stamp, tuple(sorted(self._heard.newcomers)), self._heard.outdone, knows)
         told = self._told(mine, ABSENT)
         return [told[c] for c in self.members]
 
@@ -204,6 +209,7 @@ def track_by_node(
     parts = [cast(CameraPart, CameraPart(c, own) if c == node.camera else None) for c, own in enumerate(rig)]
     tracking = Tracking(rig, parts, node, boxes, method=method, features=features, offsets=offsets, seed=seed)
     wanted, taken_in, found = 0, -1, list[TrackedFrame]()
+    defining: SolvedFrame | None = None
     while True:
         if enters:
             entered, enters = node.enter(), False
@@ -215,11 +221,15 @@ def track_by_node(
         # What all have heard alike so far.
         memory = tracking.remembered()
         try:
-            node.frames = tracking.number
-            rolls = node.call(*shots.newest(wanted))
+            rolls = node.call(*shots.newest(wanted), knows=tracking.knows)
+            known = any(roll.knows for roll in rolls)
+            node.frames = tracking.number if known else 0
             if all(roll.outdone for roll in rolls):
                 enters = True
                 continue
+            if not known:
+                # Who has seen the object is gone, and nobody here would know it again.
+                tracking.begin_anew()
             newcomers = common(rolls)
             # Once before each frame: who comes again and again, and never takes part, must not keep the others from it.
             if newcomers and taken_in != wanted:
@@ -246,8 +256,25 @@ def track_by_node(
             break
         node.since = node.since if node.since >= 0 else frames.index
         wanted = number + 1
+        if tracking.defining is not None and found:
+            if defining is not None and not _same_frame(defining, tracking.defining):
+                found[0] = _with_fault(found[0], ANOTHER_FRAME)
+            defining = tracking.defining
         yield from found
     yield from found
+
+
+def _same_frame(one: SolvedFrame, other: SolvedFrame) -> bool:
+    """Whether two frames define the same frame of the object: they are of one time, and have one pose."""
+    a, b = one.world_from_object, other.world_from_object
+    turned, far = (a.rotation * b.rotation.inv()).magnitude(), np.linalg.norm(a.translation - b.translation)
+    return bool(
+        one.time == other.time and turned < ALIKE and far < ALIKE * np.linalg.norm(one.viewpoints, axis=1).max()
+    )
+
+
+def _with_fault(tracked: TrackedFrame, sentence: str) -> TrackedFrame:
+    return replace(tracked, pose=replace(tracked.pose, faults=(*tracked.pose.faults, sentence)))
 
 
 def _times(node: Node, shots: Shots, rolls: Sequence[Roll], number: int) -> tuple[float | None, ...]:

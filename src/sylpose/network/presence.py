@@ -2,9 +2,9 @@
 
 A node that is in no group says that it is there, to all. The members of a group hear that, and take it in between two
 frames; it is told what all of them know, and takes part from then on. So a node that comes late, or one that died and was
-started again, or was silent for too long, needs nothing but a word. Of two groups that hear each other the larger one goes
-on, and the nodes of the other leave theirs to be taken in. Where nobody has a group, the first camera of those that are
-there founds one: once all of the rig are, or after a while.
+started again, or was silent for too long, needs nothing but a word. Of two groups that hear each other the one that knows
+the object goes on, if both do the larger one, and the nodes of the other leave theirs to be taken in. Where nobody has a
+group, the first camera of those that are there founds one: once all of the rig are, or after a while.
 
 What a node does is asked of it by its work (`Ask`), which waits for the `Answer`.
 """
@@ -104,7 +104,7 @@ class Present:
         ask: what its work waits for; None while that is busy.
         agreeing: its group; None without one.
         welcome: what it was told of the group that it is being taken in by.
-        frames: that its group has tracked.
+        frames: that its group has tracked; 0 where nobody in it knows the object.
         outside: camera -> who is there and no member.
         ticks: it is there; since: those when it began to wait for a group; apart: until which it keeps to its own, where a
             larger one has not taken it in.
@@ -150,7 +150,7 @@ def asked(p: Present, ask: Ask, frames: int) -> tuple[Present, list[Packet]]:
     """Work asks for something. See `answer`.
 
     Args:
-        frames: that it has tracked.
+        frames: as in `Present`.
     """
     p = replace(p, ask=ask, frames=frames)
     if isinstance(ask, Enter):
@@ -175,8 +175,8 @@ def answer(p: Present) -> tuple[Present, Answer | None]:
     if isinstance(p.ask, Tell) and p.agreeing is not None and p.agreeing.outcome is not None:
         barred = {c for c in p.outside if p.all_blame.bars(c, frozenset(p.members))}
         others = {c: o for c, o in p.outside.items() if c not in p.members and c not in barred}
-        mine = len(p.members), p.frames > 0, -min(p.members)
-        outdone = any((o.hello.size, o.hello.frames > 0, -c) > mine for c, o in others.items() if o.hello.size)
+        mine = p.frames > 0, len(p.members), -min(p.members)
+        outdone = any((o.hello.frames > 0, o.hello.size, -c) > mine for c, o in others.items() if o.hello.size)
         again, outcast = p.agreeing.again, p.agreeing.outcast
         heard = Heard(p.agreeing.outcome, _wanting(p, others), outdone and p.ticks >= p.apart, again, outcast)
         return replace(p, ask=None), heard

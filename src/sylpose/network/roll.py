@@ -23,16 +23,18 @@ class Roll:
         time: that it was taken at, seconds; NaN without a time stamp.
         newcomers: whom it would take in.
         outdone: whether it would leave for a larger group.
+        knows: whether it has seen anything of the object that it would know again.
     """
 
     newest: int
     time: float
     newcomers: tuple[int, ...]
     outdone: bool
+    knows: bool
 
 
 # Of a camera that is no member.
-ABSENT = Roll(NO_FRAME, np.nan, (), False)
+ABSENT = Roll(NO_FRAME, np.nan, (), False, False)
 
 
 def instant_of(rolls: Sequence[Roll], wanted: int) -> int:

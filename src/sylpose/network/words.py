@@ -104,7 +104,8 @@ class Welcome(NamedTuple):
 
 
 class Hello(NamedTuple):
-    """Somebody is there. size: of its group, 0 without one; frames: that this has tracked. The larger one goes on."""
+    """Somebody is there. size: of its group, 0 without one; frames: that this has tracked, if it knows the object. See
+    `presence`."""
 
     size: int
     frames: int

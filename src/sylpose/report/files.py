@@ -71,7 +71,8 @@ class TrajectoryWriter:
     """Writes `trajectory.tum` and `trajectory.csv` frame by frame; what was written survives a crash.
 
     A context manager. Files of these names in `out_dir` are replaced. Each line goes to the operating system whole and at
-    once. The quaternion's sign is the one nearer to the frame before.
+    once. The quaternion's sign is the one nearer to the frame before. A frame that was written before takes the place of
+    what was written then, and of all that came after it: frames are told in order, once.
 
     `trajectory.tum` has the frames in which the object was found: `time tx ty tz qx qy qz qw`, world_from_object.
     `trajectory.csv` has all frames: also status, the calibration's length unit, pan, tilt, roll in degrees, the standard
@@ -108,6 +109,7 @@ class TrajectoryWriter:
         self.tum_path = folder / f"{stem}.tum"
         self.csv_path = folder / f"{stem}.csv"
         self._quaternion = None if resume is None else resume.quaternion
+        self._last = -1  # the number of the last frame
         per_camera = [f"{what}_{n}" for what in ("inliers", "residual_px", "doubt") for n in camera_names]
         self._tum = _open(self.tum_path, None if resume is None else resume.tum_bytes)
         try:
@@ -152,6 +154,9 @@ class TrajectoryWriter:
             raise ValueError(
                 f"frame {pose.index}: {len(pose.inliers)} inlier counts and {len(pose.residuals)} residuals for {n} cameras"
             )
+        if pose.index <= self._last:
+            self._cut(pose)
+        self._last = pose.index
         quaternion = np.full(4, np.nan)
         if pose.world_from_object is not None:
             quaternion = _continued(pose.world_from_object.rotation.as_quat(), self._quaternion)
@@ -167,6 +172,19 @@ class TrajectoryWriter:
         self._put(self._csv, self.csv_path, _csv_line(cells))
         if pose.measured:
             self._put(self._tum, self.tum_path, _tum_line(pose.time, pose.position, quaternion))
+
+    def _cut(self, pose: FramePose) -> None:
+        """Both files before a frame that is there already. What was found of it is in them alone: nothing is kept of all
+        frames of a day, for what hardly ever happens."""
+        csv_lines = self.csv_path.read_bytes().splitlines(keepends=True)
+        tum_lines = self.tum_path.read_bytes().splitlines(keepends=True)
+        csv_kept = [line for k, line in enumerate(csv_lines) if k == 0 or int(line.split(b",", 1)[0]) < pose.index]
+        tum_kept = [line for line in tum_lines if line.startswith(b"#") or float(line.split()[0]) < pose.time]
+        for file, path, kept in ((self._csv, self.csv_path, csv_kept), (self._tum, self.tum_path, tum_kept)):
+            length = sum(map(len, kept))
+            with writing(path):
+                file.truncate(length)
+                file.seek(length)
 
     @staticmethod
     def _put(file: io.FileIO, path: Path, line: str) -> None:

@@ -348,6 +348,11 @@ class CameraPart:
         """A frame was solved by the anchor's features alone."""
         self.anchor = gone_on(followed, pairs, weights)
 
+    @property
+    def knows(self) -> bool:
+        """Whether it has seen anything of the object that it would know again."""
+        return any(len(frame.features) for frame in self.frames.values())
+
     def constants(self) -> list[object]:
         """What it holds that is never written to."""
         anchor, watch = self.anchor, self.watch

@@ -14,6 +14,7 @@ from sylpose.methods import FEATURES, METHODS, features_of
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.crew import Crew, OneProcess
+from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.handover import Handover, handed_over, taken_over
 from sylpose.tracking.joint import Joint
@@ -136,6 +137,24 @@ class Tracking:
         """Go on from there, where the cameras here are `new` as if they had seen nothing so far."""
         team, mine = self._team, None if new else self._waiting
         self._joint, self._waiting, self.number = taken_over(handover, team.crew, team.parts, mine)
+
+    @property
+    def knows(self) -> bool:
+        """Whether a camera here has seen anything of the object that it would know again."""
+        return any(part.knows for part in self._here())
+
+    @property
+    def defining(self) -> SolvedFrame | None:
+        """The frame whose pose defines the object's frame; None before the first pose."""
+        return self._joint.keyframes[0] if self._joint.keyframes else None
+
+    def begin_anew(self) -> None:
+        """Where a pose is known of an object that no camera would know again: another one is looked for, by its motion,
+        whose first pose defines its frame."""
+        if self._joint.last is not None:
+            self._joint = Joint(nudges=self._joint.nudges)
+            for part in self._here():
+                part.forget()
 
     def flush(self) -> list[TrackedFrame]:
         """The frames still undecided at the recording's end: the object moved little, or never."""
