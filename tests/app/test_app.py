@@ -170,6 +170,10 @@ def test_offsets_need_times(session: Path, capsys: pytest.CaptureFixture[str]) -
 # --- live -------------------------------------------------------------------------------------------------------------
 
 
+# The frame that one camera does not have.
+MISSING = 6
+
+
 class Player:
     """A camera that plays a video in its own time, over and over if asked to."""
 
@@ -201,7 +205,7 @@ def cameras(session: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, bool]:
     how = {"forever": False}
 
     def opener(source: int | str, *_: object) -> Player:
-        return Player(played[int(source)], how["forever"], missing=6 if source == 1 else -1)
+        return Player(played[int(source)], how["forever"], missing=MISSING if source == 1 else -1)
 
     monkeypatch.setattr(live, "open_live", partial(live.open_live, opener=opener))
     monkeypatch.setattr(live, "PAUSES", ())
@@ -214,12 +218,13 @@ def test_live_cameras_are_tracked_to_their_end(session: Path, capsys: pytest.Cap
     said = capsys.readouterr()
     assert "session: 3 cameras, live at 5 per second" in said.out
     assert "Left out in all: frame" in said.out
-    assert "without cam_1" in said.out
     out = session / "sylpose"
     assert {file.name for file in out.iterdir()} == {"trajectory.tum", "trajectory.csv", "report.png", "overlay.mp4"}
     trajectory = read_trajectory(out / "trajectory.csv")
     assert len(trajectory) >= FRAMES - 2
     assert trajectory.solved.mean() > 0.8
+    # On a machine that is late the frame that this camera lacks may be left out.
+    assert "without cam_1" in said.out or MISSING not in {pose.index for pose in trajectory}
 
 
 def test_ctrl_c_ends_live_cameras_with_all_files(
