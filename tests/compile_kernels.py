@@ -1,7 +1,7 @@
 """Compiles what the tests will call, once and side by side, before they start: `python -m tests.compile_kernels`.
 
-Two workers of the test run would else compile the same kernels at the same time. The parts share next to nothing, and the
-longest comes first. What is left out here is compiled when a test calls it.
+Two workers of the test run would else compile the same kernels at the same time. What is left out here is compiled when a
+test calls it.
 """
 
 from __future__ import annotations
@@ -13,13 +13,11 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from sylpose import estimate_motion
-from sylpose.adjustment.bundle import Observations, bundle
-from sylpose.features import klt
+from sylpose.app.compiling import PARTS
 from sylpose.known_model.pose import estimate_pose
-from sylpose.landmarks.alignment import Sights, align
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
@@ -27,7 +25,7 @@ from sylpose.paper.centralized import solve_centralized
 from sylpose.paper.depth_plane import solve_depth_plane
 from sylpose.rig import Camera
 from sylpose.simulate import ring
-from sylpose.two_frames.solver import warm_up
+from sylpose.two_frames.warming import warm_up
 
 RIG = ring(3, height=(0.4, -0.1, 0.2))
 POINTS = np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3))
@@ -38,23 +36,6 @@ def seen(turn: Rotation) -> Iterator[tuple[Camera, FloatArray]]:
     """The cameras, and the points (40, 2) as they see them turned."""
     for camera in RIG:
         yield camera, camera.normalize(camera.project(turn.apply(POINTS)))
-
-
-def landmarks() -> None:
-    sights = [
-        Sights(
-            points=POINTS,
-            depth_error=0.01 * (POINTS - camera.center),
-            image=image,
-            feature=np.arange(len(POINTS)),
-            trust=np.ones(len(POINTS)),
-            rotation=camera.rotation,
-            center=camera.center,
-            focal=camera.focal,
-        )
-        for camera, image in seen(TURN)
-    ]
-    align(sights, np.eye(3), np.zeros(3))
 
 
 def paper() -> None:
@@ -78,25 +59,6 @@ def two_bodies() -> None:
     estimate_motion(RIG, [*matches[0][:2], matches[1][2]])
 
 
-def smoothing() -> None:
-    turns = [Rotation.from_rotvec(0.02 * k * TURN.as_rotvec()) for k in range(4)]
-    n, cameras = len(POINTS), len(RIG)
-    images = np.array([[image for _, image in seen(turn)] for turn in turns])
-    frame, camera, landmark = (index.ravel() for index in np.indices((len(turns), cameras, n)))
-    poses = RigidTransform.from_components(np.zeros((len(turns), 3)), Rotation.concatenate(turns))
-    bundle(RIG, Observations(frame, camera, landmark + n * camera, images.reshape(-1, 2)), poses, 0.1, offsets_sd=0.1)
-
-
-def following() -> None:
-    image = np.random.default_rng(0).integers(0, 255, (120, 160), np.uint8)
-    klt.advance(klt.begin(image, [[60.0, 60.0], [80.0, 50.0]]), image, image)
-
-
-def the_rest() -> None:
-    for part in (smoothing, landmarks, known_model, paper, following, two_bodies):
-        part()
-
-
 def timed(part: Callable[[], None]) -> str:
     start = time.process_time()
     part()
@@ -104,8 +66,11 @@ def timed(part: Callable[[], None]) -> str:
 
 
 def main() -> None:
+    # The longest first; the last ones are made of what those before have compiled.
+    parts, wholes = [*PARTS.values(), paper, known_model], [warm_up, two_bodies]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        print("compiled:", ", ".join(pool.map(timed, (warm_up, the_rest))), file=sys.stderr)
+        done = [*pool.map(timed, parts)]
+    print("compiled:", ", ".join([*done, *map(timed, wholes)]), file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from sylpose.app import text
+from sylpose.app.compiling import compile_all
 from sylpose.app.notes import notes
 from sylpose.app.run import Run, output_path, track_session
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
-from sylpose.two_frames.solver import warm_up
 
 __all__ = ["track_aloud", "why_nothing"]
 
@@ -39,7 +39,7 @@ def track_aloud(session: Session | LiveSession, out: Path | None, **options: Any
         frames = len(range(start, stop, max(every, 1)))
     problems: list[str] = []
     with console.status("Loading (the first time after an installation: compiling, half a minute) ..."):
-        warm_up()
+        compile_all()
     with (
         text.TrackingProgress(len(session.rig), frames, len(session.objects)) as progress,
         _interrupts(session) as asked,

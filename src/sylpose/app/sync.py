@@ -14,6 +14,7 @@ import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sylpose.app import text
+from sylpose.app.compiling import compile_all
 from sylpose.capture import Session
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray, Image
@@ -24,7 +25,6 @@ from sylpose.smoothing.trajectory import Track, smooth
 from sylpose.sync.offsets import OFFSETS_FILE, retimed
 from sylpose.sync.pulses import Delays, Pulse, coarse_offsets, image_speed, small_grey, split_offsets
 from sylpose.tracking.tracker import track
-from sylpose.two_frames.solver import warm_up
 
 __all__ = ["Known", "Synced", "sync_aloud", "sync_session", "write_offsets"]
 
@@ -264,7 +264,7 @@ def sync_aloud(
     text.print_warnings(console, session.warnings)
     path = session.path / OFFSETS_FILE if out is None else out
     with console.status("Loading (the first time after an installation: compiling, half a minute) ..."):
-        warm_up()
+        compile_all()
     progress = _Watching()
     try:
         synced = sync_session(session, max_lag=max_lag, start=start, stop=stop, seed=seed, watch=progress)

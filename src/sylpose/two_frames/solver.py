@@ -21,10 +21,10 @@ from sylpose.two_frames.rivals import LESS_LIKELY, second_planes, strongest_riva
 from sylpose.two_frames.robust_fit import Settled, fitted
 from sylpose.two_frames.standing import LARGER, LIKELIER, hidden, parted, some_move
 from sylpose.two_frames.terms import Stack, TermData, copy_into, guesses_of, stack_terms
-from sylpose.two_frames.valley import bend, less_certain, settle_across
+from sylpose.two_frames.valley import bend, less_certain
 from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
 
-__all__ = ["FAR_PX", "fit_apart", "fit_terms", "warm_up"]
+__all__ = ["FAR_PX", "fit_apart", "fit_terms"]
 
 Hypothesis = tuple[FloatArray, FloatArray]
 
@@ -241,14 +241,3 @@ def _not_background(stack: Stack, usable: BoolArray) -> None:
                 count += 1
         if count == 0 or np.median(moving[:count]) <= FAR_PX:
             usable[first:last] = True
-
-
-def warm_up() -> None:
-    """Compiles what `fit_terms` runs, or loads it where that has been done: a third of a second, half a minute once."""
-    x = np.random.default_rng(0).uniform(-0.1, 0.1, (12, 2))
-    data = [TermData(k, x, x + 0.01 * k, np.eye(3), np.array([k - 0.5, 0.0, -1.0]), 1000.0) for k in range(2)]
-    fit_terms(data, np.zeros(3), 0.1, [], np.random.default_rng(0))
-    stack = stack_terms(data, np.zeros(3), 0.1)
-    alike(stack, nothing_yet(stack))
-    missing(stack, nothing_yet(stack), np.full(len(stack.x), 0.5))
-    settle_across(stack, np.ones(len(stack.x)), nothing_yet(stack), np.zeros(6), np.zeros(6), np.zeros(6))

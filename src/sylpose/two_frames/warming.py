@@ -1,0 +1,55 @@
+"""What there is to compile of two frames: as a whole, and the larger parts of it, which processes may compile beside each
+other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sylpose.two_frames.likelihoods import missing
+from sylpose.two_frames.mixtures import alike
+from sylpose.two_frames.moments_cost import Sums, moments_into
+from sylpose.two_frames.reweight import SIGMA_FLOOR_PX, nothing_yet, reweight
+from sylpose.two_frames.search import search_all
+from sylpose.two_frames.solver import fit_terms
+from sylpose.two_frames.terms import Stack, TermData, guesses_of, stack_terms
+from sylpose.two_frames.valley import settle_across
+
+__all__ = ["warm_up", "warm_up_reweighting", "warm_up_search", "warm_up_verdicts"]
+
+
+def warm_up() -> None:
+    """Compiles what `fit_terms` runs, or loads it where that has been done: a third of a second, half a minute once."""
+    fit_terms(_data(), np.zeros(3), 0.1, [], np.random.default_rng(0))
+    warm_up_verdicts()
+
+
+def warm_up_search() -> None:
+    """The search for minima alone."""
+    stack = _stack()
+    sums = Sums(np.empty((2, 9, 9)), np.full(2, 1e-6))
+    for t in range(2):
+        moments_into(stack.x[t * 12 : t * 12 + 12], stack.y[t * 12 : t * 12 + 12], np.ones(12), sums.moments[t])
+    search_all(stack, sums, guesses_of([]), 2)
+
+
+def warm_up_reweighting() -> None:
+    """The re-weighted fit alone."""
+    stack = _stack()
+    reweight(stack, np.ones(len(stack.x)), nothing_yet(stack), SIGMA_FLOOR_PX)
+
+
+def warm_up_verdicts() -> None:
+    """What decides what a fit is worth alone."""
+    stack = _stack()
+    alike(stack, nothing_yet(stack))
+    missing(stack, nothing_yet(stack), np.full(len(stack.x), 0.5))
+    settle_across(stack, np.ones(len(stack.x)), nothing_yet(stack), np.zeros(6), np.zeros(6), np.zeros(6))
+
+
+def _data() -> list[TermData]:
+    x = np.random.default_rng(0).uniform(-0.1, 0.1, (12, 2))
+    return [TermData(k, x, x + 0.01 * k, np.eye(3), np.array([k - 0.5, 0.0, -1.0]), 1000.0) for k in range(2)]
+
+
+def _stack() -> Stack:
+    return stack_terms(_data(), np.zeros(3), 0.1)
