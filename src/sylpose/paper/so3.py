@@ -114,8 +114,8 @@ class Quadratic:
         return np.asarray(cost_of(self.H, self.h, rotations) + self.constant)
 
     def explained(self, rotations: FloatArray) -> BoolArray:
-        """(...) whether rotations (..., 3, 3) leave less than the zero matrix would: what is seen has to do with them. Where noise
-        is as large as the points' spread the one global minimum can be proved, too, and is by chance."""
+        """(...) whether rotations (..., 3, 3) leave less than the zero matrix would: what is seen has to do with them. Where
+        noise is as large as the points' spread the one global minimum can be proved, too, and is by chance."""
         return np.asarray(cost_of(self.H, self.h, rotations) < 0.0)
 
     def variance(self, cost: FloatArray) -> FloatArray:
