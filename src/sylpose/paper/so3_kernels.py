@@ -10,7 +10,7 @@ import numpy as np
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, turn_by
 from sylpose.paper.so3_dual import dual_newton, system
-from sylpose.paper.so3_squares import CERTIFICATE, is_least
+from sylpose.paper.so3_squares import CERTIFICATE, LOWER, is_least
 
 __all__ = ["FLAT", "SAME", "STATIONARY", "certify_each", "derivatives_each", "minimize_each"]
 
@@ -203,7 +203,13 @@ def _search(H: FloatArray, h: FloatArray, starts: FloatArray, minima: FloatArray
         if costs[s] < costs[best]:
             best = s
         if done == FIRST - 1 or done == n - 1:
-            if tried < 0 or _distance2(ends[best], ends[tried]) > 2.0 * SAME**2:
+            wanted = tried < 0 or _distance2(ends[best], ends[tried]) > 2.0 * SAME**2
+            for k in order[: done + 1]:
+                # Of two that are equally good there is no proof, and no need to look for one: one camera, mostly.
+                wanted = wanted and (
+                    costs[k] > costs[best] + LOWER or not _distance2(ends[best], ends[k]) > 2.0 * SAME**2
+                )
+            if wanted:
                 proved, steps = is_least(H, h, ends[best])
                 of_proofs += steps
                 if proved:

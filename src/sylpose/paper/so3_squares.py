@@ -25,7 +25,7 @@ import numpy as np
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.compiled import cholesky, kernel, solve_factored
 
-__all__ = ["CERTIFICATE", "FREE", "free_matrices", "gram", "is_least"]
+__all__ = ["CERTIFICATE", "FREE", "LOWER", "free_matrices", "gram", "is_least"]
 
 
 # A matrix must be this much above singular, relative to H's mean eigenvalue of 1, to certify: well above rounding
