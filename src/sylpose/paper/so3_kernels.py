@@ -190,7 +190,7 @@ def _search(H: FloatArray, h: FloatArray, starts: FloatArray, minima: FloatArray
     n = starts.shape[0]
     ends, costs, left = np.empty((n, 3, 3)), np.empty(n), np.empty(n, np.bool_)
     gradient, hessian = np.empty(3), np.empty((3, 3))
-    order = np.argsort(_costs(H, h, starts))
+    order = _order(H, h, starts)
     best, most, of_proofs, tried = order[0], 0, 0, -1
     for done in range(n):
         s = order[done]
@@ -204,7 +204,8 @@ def _search(H: FloatArray, h: FloatArray, starts: FloatArray, minima: FloatArray
             best = s
         if done == FIRST - 1 or done == n - 1:
             wanted = tried < 0 or _distance2(ends[best], ends[tried]) > 2.0 * SAME**2
-            for k in order[: done + 1]:
+            for i in range(done + 1):
+                k = order[i]
                 # Of two that are equally good there is no proof, and no need to look for one: one camera, mostly.
                 wanted = wanted and (
                     costs[k] > costs[best] + LOWER or not _distance2(ends[best], ends[k]) > 2.0 * SAME**2
@@ -233,16 +234,22 @@ def _search(H: FloatArray, h: FloatArray, starts: FloatArray, minima: FloatArray
 
 
 @kernel
-def _costs(H: FloatArray, h: FloatArray, rotations: FloatArray) -> FloatArray:
-    """(n,) of (n, 3, 3)."""
-    costs = np.zeros(rotations.shape[0])
-    for n in range(rotations.shape[0]):
+def _order(H: FloatArray, h: FloatArray, starts: FloatArray) -> IntArray:
+    """(S,) of the starts (S, 3, 3), those of least cost first."""
+    count = starts.shape[0]
+    costs, order = np.zeros(count), np.empty(count, np.int64)
+    for n in range(count):
         for i in range(9):
             s = -h[i]
             for j in range(9):
-                s += 0.5 * H[i, j] * rotations[n, j // 3, j % 3]
-            costs[n] += s * rotations[n, i // 3, i % 3]
-    return costs
+                s += 0.5 * H[i, j] * starts[n, j // 3, j % 3]
+            costs[n] += s * starts[n, i // 3, i % 3]
+        k = n
+        while k > 0 and costs[order[k - 1]] > costs[n]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = n
+    return order
 
 
 @kernel

@@ -88,11 +88,12 @@ def is_least(H: FloatArray, h: FloatArray, R: FloatArray) -> tuple[bool, int]:
     factor, spare, inverse = np.empty((9, 9)), np.empty((9, 9)), np.empty((9, 9))
     multipliers, step, slope = np.zeros(FREE), np.zeros(FREE + 1), np.empty(FREE + 1)
     curvature, curvature_factor = np.empty((FREE + 1, FREE + 1)), np.empty((FREE + 1, FREE + 1))
+    first = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
-            spare[i, j] = G[i, j]
-        spare[i, i] -= margin
-    if not cholesky(spare[:3, :3]):
+            first[i, j] = G[i, j]
+        first[i, i] -= margin
+    if not cholesky(first):
         return False, 0
     t = -size
     for _ in range(100):
