@@ -25,7 +25,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import checked_rotations, transpose
 from sylpose.numerics.unseen import UNSEEN_TURN, unseen_directions
 from sylpose.paper.centralized import status_of
-from sylpose.paper.so3 import FLAT, LEAST, Quadratic, minimize
+from sylpose.paper.so3 import CERTIFICATE, FLAT, LEAST, Quadratic, minimize
 from sylpose.results import RotationEstimate, Status
 
 __all__ = ["KnownDepthSolution", "solve_2d3d", "solve_3d3d"]
@@ -55,7 +55,7 @@ class KnownDepthSolution(RotationEstimate):
             (two mirrored ones of a flat object in one camera, for instance); where something is not seen they sample a
             continuum.
         costs: (k,) half the sum of squared residuals of each, in units in which H has the mean eigenvalue 1.
-        certified: `rotation` is proved to be the one global optimum, and leaves less than none at all would.
+        certified: `rotation` is proved to be the global optimum by Sylvester's multiplier alone (`paper.so3`).
         multiplier: (3, 3) L of Sylvester's equation at `rotation`, in the units of `costs`.
         center: (3,) weighted mean of all points in frame i, world.
         displacement: (3,) d of the centre, X_j = R (X_i - center) + center + d; of least length where a direction is not
@@ -128,11 +128,17 @@ def solve_2d3d(
     scale = float(q.scale)
     if not scale > FALLEN**2 * sum(s.total for s in sets):
         return _nothing(center, np.full(3, np.nan))
-    candidates, proved, iterations = minimize(q.H, q.h)
+    candidates, _, iterations = minimize(q.H, q.h)
     R = np.asarray(candidates[0])
-    certified = proved and bool(q.explained(R))
     best = q.at(R)
-    converged, L = bool(best.stationary), best.multiplier / scale
+    converged, H, L = bool(best.stationary), q.H / scale, best.multiplier / scale
+    certified = converged and (
+        _proved_by_multiplier(H, L)
+        or _proved_by_two_rows(PQ[[s.weight > 0 for s in sets]], H, L)
+        or _proved_by_two_columns(np.sum([s.s_xx for s in sets], axis=0), H, R.T @ L @ R)
+    )
+    if certified:
+        candidates = candidates[:1]
     costs = q.cost(candidates) / scale
     unseen = unseen_directions(best.information, UNSEEN_TURN, flat=FLAT)
     status = status_of(converged, certified, unseen)
@@ -234,6 +240,39 @@ def _array(points: ArrayLike, dimensions: int, name: str) -> FloatArray:
     if not np.isfinite(out).all():
         raise ValueError(f"{name} has points that are not finite")
     return out
+
+
+def _proved_by_multiplier(H: FloatArray, L: FloatArray) -> bool:
+    """The certificate by K. That by all multipliers (`so3_squares`) proves more, but also the better one of two mirrored
+    turns that differ by less than noise: whoever has known points is told that these are not certified."""
+    return bool(np.linalg.eigvalsh(H + np.kron(L, np.eye(3)))[0] > CERTIFICATE)
+
+
+def _proved_by_two_rows(PQ: FloatArray, H: FloatArray, L: FloatArray) -> bool:
+    """The certificate for cameras that all look the same way, one camera above all.
+
+    Their cost says nothing of the row of R along their axis, so K = H + L ⊗ I is never positive definite. But that row
+    follows from the other two: K positive definite on those proves the optimum all the same.
+    """
+    values, axes = np.linalg.eigh(np.einsum("cki,ckj->ij", PQ, PQ))
+    if values[0] > ROUNDING * values[2]:
+        return False
+    across = np.kron(axes[:, 1:].T, np.eye(3))
+    K = H + np.kron(L, np.eye(3))
+    return bool(np.linalg.eigvalsh(across @ K @ across.T)[0] > CERTIFICATE)
+
+
+def _proved_by_two_columns(s_xx: FloatArray, H: FloatArray, M: FloatArray) -> bool:
+    """The certificate for points of all cameras on parallel planes: the cost says nothing of R along their normal.
+
+    With M = R'L R, K r = h is also (H + I ⊗ M) r = h; and two columns of R give the third.
+    """
+    values, axes = np.linalg.eigh(s_xx)
+    if values[0] > ROUNDING * values[2]:
+        return False
+    across = np.kron(np.eye(3), axes[:, 1:].T)
+    K = H + np.kron(np.eye(3), M)
+    return bool(np.linalg.eigvalsh(across @ K @ across.T)[0] > CERTIFICATE)
 
 
 def _displacement(
