@@ -53,8 +53,9 @@ bench-tracking: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/tracking.py --compare benchmarks/tracking_baseline.json
 
 # About 15 minutes: the paper's estimators.
-bench-paper: $(VENV)/.installed
+bench-paper: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/paper_times.py
+	$(BIN)/python benchmarks/certificate.py
 	$(BIN)/python benchmarks/equations.py
 	$(BIN)/python benchmarks/depth_plane.py
 	$(BIN)/python benchmarks/consensus.py --seeds 2

@@ -270,16 +270,17 @@ def test_the_result_is_that_without_the_named_camera_and_the_text_names_it() -> 
 
 
 def test_the_status_is_that_of_the_solution() -> None:
-    """Few noisy matches: many of these do not see all of the turn."""
+    """Few noisy matches: many of these do not see all of the turn; where there is as much noise as there are points, the
+    answer has nothing to do with them."""
     found = set()
     for seed in range(40):
-        rng = np.random.default_rng(seed)
+        rng, noise = np.random.default_rng(seed), (0.5, 1.0)[seed % 2]
         cameras, turn = random_rotations(rng, 4), random_rotations(rng, 1)[0]
         moments = []
         for q in cameras:
             points = rng.normal(size=(8, 3))
             x, y = (points @ q.T)[:, :2], (points @ turn.T @ q.T)[:, :2]
-            moments.append(PairMoments.from_matches(*(p + 0.5 * rng.normal(size=p.shape) for p in (x, y))))
+            moments.append(PairMoments.from_matches(*(p + noise * rng.normal(size=p.shape) for p in (x, y))))
         robust = solve_robust(cameras, moments, aim=False)
         if robust.solution is not None and robust.diagnosis.consistent:
             assert robust.status is robust.solution.status

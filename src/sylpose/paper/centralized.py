@@ -8,7 +8,8 @@ whose stationary points solve a generalised Sylvester's equation:
     A_c = Q'P'PQ,   B_c = Q'P' S_xx P Q,   C_c = Q'P' S_yx P Q.
 
 With row-major vec it is K r = h, K = H + L ⊗ I, H = Σ A_c ⊗ B_c, h = vec(Σ C_c). If K is positive definite, R is the
-global optimum, because cost(R2) - cost(R) = 1/2 (r2 - r)' K (r2 - r) for every other rotation.
+global optimum, because cost(R2) - cost(R) = 1/2 (r2 - r)' K (r2 - r) for every other rotation. Where it is not, more
+multipliers prove nearly all that is the only one (`paper.so3_squares`).
 
 The depth of the points is ignored, as in the paper: unbiased only where depth is uncorrelated with the image position,
 and blind to the first order of a turn about the normal of the plane that all viewing directions lie in. The certificate is
@@ -90,12 +91,13 @@ class CentralizedSolution(RotationEstimate):
             cost on SO(3) over the residuals' variance (weighted mean square per coordinate; at least 1e-12 of the points'
             own).
         unseen: (k, 3) `unseen_turns`.
-        iterations: Newton steps, on the dual and, where that gave no certificate, on SO(3).
-        candidates: (k, 3, 3) rotations: the global optimum when `certified`, else all local minima found, best first
+        iterations: Newton steps, on the dual and, where that gave no certificate, on SO(3) and of the proof.
+        candidates: (k, 3, 3) rotations: the global optimum when proved, else all local minima found, best first
             (a single camera's mirrored pair, for instance). Where a direction is not observable they sample a continuum.
         costs: (k,) half the sum of squared residuals of each, in units in which H has the mean eigenvalue 1.
-        certified: K is positive definite, so that `rotation` is the one global optimum of the cost, however far surfaces
-            have taken that from the truth. Never for a single camera.
+        certified: `rotation` is proved to be the one global optimum of the cost, however far surfaces have taken that from
+            the truth, and leaves less than none at all would (`Quadratic.explained`). Of a single camera only where its two
+            mirrored turns are one.
         converged: `rotation` is a stationary point of the cost.
         multiplier: (3, 3) L of Sylvester's equation at `rotation`, in the units of `costs`.
     """
@@ -209,7 +211,7 @@ def solve_centralized_batch(rotations: ArrayLike, moments: ArrayLike, *, aim: bo
         candidates=found.candidates,
         counts=found.counts,
         costs=costs / q.scale[:, None],
-        certified=found.certified,
+        certified=found.certified & q.explained(found.candidates[:, 0]),
         converged=best.stationary,
         multiplier=best.multiplier / q.scale[:, None, None],
         noise_information=best.information,

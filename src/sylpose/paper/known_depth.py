@@ -51,11 +51,11 @@ class KnownDepthSolution(RotationEstimate):
             known: there is no bias.
         unseen: (k, 3) unit directions of w with a standard deviation beyond `UNSEEN_TURN`.
         iterations: of the minimiser; 0 for the closed form.
-        candidates: (k, 3, 3) rotations: the global optimum when `certified`, else all local minima found, best first
+        candidates: (k, 3, 3) rotations: the global optimum when proved, else all local minima found, best first
             (two mirrored ones of a flat object in one camera, for instance); where something is not seen they sample a
             continuum.
         costs: (k,) half the sum of squared residuals of each, in units in which H has the mean eigenvalue 1.
-        certified: `rotation` is proved to be the global optimum.
+        certified: `rotation` is proved to be the global optimum by Sylvester's multiplier alone (`paper.so3`).
         multiplier: (3, 3) L of Sylvester's equation at `rotation`, in the units of `costs`.
         center: (3,) weighted mean of all points in frame i, world.
         displacement: (3,) d of the centre, X_j = R (X_i - center) + center + d; of least length where a direction is not
@@ -128,16 +128,17 @@ def solve_2d3d(
     scale = float(q.scale)
     if not scale > FALLEN**2 * sum(s.total for s in sets):
         return _nothing(center, np.full(3, np.nan))
-    candidates, certified, iterations = minimize(q.H, q.h)
+    candidates, _, iterations = minimize(q.H, q.h)
     R = np.asarray(candidates[0])
     best = q.at(R)
     converged, H, L = bool(best.stationary), q.H / scale, best.multiplier / scale
-    if not certified and converged:
-        seen = PQ[[s.weight > 0 for s in sets]]
-        if _proved_by_two_rows(seen, H, L) or _proved_by_two_columns(
-            np.sum([s.s_xx for s in sets], axis=0), H, R.T @ L @ R
-        ):
-            certified, candidates = True, candidates[:1]
+    certified = converged and (
+        _proved_by_multiplier(H, L)
+        or _proved_by_two_rows(PQ[[s.weight > 0 for s in sets]], H, L)
+        or _proved_by_two_columns(np.sum([s.s_xx for s in sets], axis=0), H, R.T @ L @ R)
+    )
+    if certified:
+        candidates = candidates[:1]
     costs = q.cost(candidates) / scale
     unseen = unseen_directions(best.information, UNSEEN_TURN, flat=FLAT)
     status = status_of(converged, certified, unseen)
@@ -239,6 +240,12 @@ def _array(points: ArrayLike, dimensions: int, name: str) -> FloatArray:
     if not np.isfinite(out).all():
         raise ValueError(f"{name} has points that are not finite")
     return out
+
+
+def _proved_by_multiplier(H: FloatArray, L: FloatArray) -> bool:
+    """The certificate by K. That by all multipliers (`so3_squares`) proves more, but also the better one of two mirrored
+    turns that differ by less than noise: whoever has known points is told that these are not certified."""
+    return bool(np.linalg.eigvalsh(H + np.kron(L, np.eye(3)))[0] > CERTIFICATE)
 
 
 def _proved_by_two_rows(PQ: FloatArray, H: FloatArray, L: FloatArray) -> bool:

@@ -3,7 +3,8 @@
 With r the row-major vec of R, the cost (`Quadratic`) is 1/2 r'Hr - h'r, H positive semidefinite. Its stationary points on
 SO(3) solve K r = h with K = H + L ⊗ I and a symmetric 3x3 multiplier L, for costs of the form Σ A_c R B_c a generalised
 Sylvester's equation. If K is positive definite, R is the global minimum, because for every other rotation
-cost(R2) - cost(R) = 1/2 (r2 - r)' K (r2 - r).
+cost(R2) - cost(R) = 1/2 (r2 - r)' K (r2 - r). It need not be: L is the multiplier of RR' = I alone. With those of all that
+is quadratic and holds of a rotation nearly every minimum is proved that is the only one (`so3_squares`).
 
 Source: the equation is Chen & Schonfeld's (2010); the dual, the certificate and the search are ours.
 """
@@ -19,7 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.matrices import transpose
-from sylpose.paper.so3_kernels import CERTIFICATE, FLAT, STATIONARY, derivatives_each, minimize_each
+from sylpose.paper.so3_kernels import FLAT, STATIONARY, certify_each, derivatives_each, minimize_each
+from sylpose.paper.so3_squares import CERTIFICATE
 
 __all__ = [
     "CERTIFICATE",
@@ -30,6 +32,7 @@ __all__ = [
     "Quadratic",
     "cost_of",
     "derivatives",
+    "is_certified",
     "minimize",
     "minimize_batch",
     "multiplier_of",
@@ -110,6 +113,11 @@ class Quadratic:
         """(...) at rotations (..., 3, 3)."""
         return np.asarray(cost_of(self.H, self.h, rotations) + self.constant)
 
+    def explained(self, rotations: FloatArray) -> BoolArray:
+        """(...) whether rotations (..., 3, 3) leave less than the zero matrix would: what is seen has to do with them. Where
+        noise is as large as the points' spread the one global minimum can be proved, too, and is by chance."""
+        return np.asarray(cost_of(self.H, self.h, rotations) < 0.0)
+
     def variance(self, cost: FloatArray) -> FloatArray:
         """(...) mean square residual per coordinate where the cost (...) is this; at least 1e-12 of the points' own."""
         return np.asarray(np.maximum(cost, LEAST * self.size) / self.weight)
@@ -138,8 +146,8 @@ class Minima(NamedTuple):
         candidates: (N, k, 3, 3) per cost its one minimum where certified, else all local minima found, best first; NaN
             from `counts` on. k is the largest count.
         counts: (N,) at least 1.
-        certified: (N,) whether the first candidate is proved to be the global minimum.
-        iterations: (N,) Newton steps, on the dual and, where that gave no certificate, on SO(3).
+        certified: (N,) whether the first candidate is proved to be the one global minimum.
+        iterations: (N,) Newton steps, on the dual and, where that gave no certificate, on SO(3) and of the proof.
     """
 
     candidates: FloatArray
@@ -151,7 +159,7 @@ class Minima(NamedTuple):
 def minimize(H: FloatArray, h: FloatArray) -> tuple[FloatArray, bool, int]:
     """Minimise 1/2 r'Hr - h'r over SO(3), H (9, 9) positive semidefinite, h (9,), of any scale.
 
-    Returns (k, 3, 3) minima, best first; whether the first is certified as the global one; iterations.
+    Returns (k, 3, 3) minima, best first; whether the first is certified as the one global minimum; iterations.
     """
     found = minimize_batch(H[None], h[None])
     return found.candidates[0], bool(found.certified[0]), int(found.iterations[0])
@@ -165,6 +173,14 @@ def minimize_batch(H: FloatArray, h: FloatArray) -> Minima:
     minimize_each(_plain(H), _plain(h), _STARTS, candidates, counts, certified, iterations)
     candidates[np.arange(len(_STARTS)) >= counts[:, None]] = np.nan
     return Minima(candidates[:, : counts.max(initial=1)], counts, certified, iterations)
+
+
+def is_certified(H: FloatArray, h: FloatArray, rotation: FloatArray) -> bool:
+    """Whether a rotation (3, 3) is stationary, and proved to be the one global minimum as far as it is: what `minimize` says
+    of its own, for one from elsewhere."""
+    certified = np.zeros(1, np.bool_)
+    certify_each(_plain(H[None]), _plain(h[None]), _plain(rotation[None]), certified)
+    return bool(certified[0])
 
 
 def multiplier_of(H: FloatArray, h: FloatArray, rotations: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
-from sylpose.numerics.matrices import checked_rotations, kron
+from sylpose.numerics.matrices import checked_rotations
 from sylpose.paper.centralized import status_of, unseen_turns
 from sylpose.paper.distributed.exchange import exchange_start, exchange_step
 from sylpose.paper.distributed.gossip import gossip_start, gossip_step
@@ -28,7 +28,7 @@ from sylpose.paper.distributed.nonsense import Nonsense, garbled
 from sylpose.paper.distributed.refine import refine_start, refine_step
 from sylpose.paper.distributed.verdict import UNKNOWN, Verdict
 from sylpose.paper.orthographic import quadratic_of, views_of
-from sylpose.paper.so3 import CERTIFICATE
+from sylpose.paper.so3 import is_certified
 from sylpose.results import RotationEstimate, Status
 
 __all__ = ["Agreement", "Disturbances", "Nonsense", "run", "solve_exchange", "solve_gossip", "solve_refine"]
@@ -109,7 +109,7 @@ class Agreement(RotationEstimate):
             converged.
         information, unseen: (3, 3) and (k, 3) as in `CentralizedSolution`, as that camera found it.
         iterations: rounds until the last camera was done.
-        certified: the multiplier proves `rotation` the global optimum for the cameras in `used`. Checked from outside,
+        certified: multipliers prove `rotation` the global optimum for the cameras in `used`. Checked from outside,
             with everybody's moments: in `refine` no camera could.
         rotations: (C, 3, 3) each camera's answer, NaN where it has none.
         converged: (C,) as each camera says of itself.
@@ -323,8 +323,6 @@ def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome
 
 
 def _certified(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, rotation: FloatArray) -> bool:
-    """Whether a rotation is stationary for these cameras together, and K positive definite there (`paper.so3`)."""
+    """Whether a rotation is proved to be the one global minimum for these cameras together, and has to do with them."""
     q = quadratic_of(views_of(Q, moments, aim=aim))
-    at = q.at(rotation)
-    K = q.H + kron(at.multiplier, np.eye(3))
-    return bool(at.stationary and np.linalg.eigvalsh(K)[0] > CERTIFICATE * q.scale)
+    return bool(q.explained(rotation)) and is_certified(q.H, q.h, rotation)
