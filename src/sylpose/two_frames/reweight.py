@@ -366,11 +366,14 @@ def _scale(stack: Stack, weights: FloatArray, across: FloatArray, trusted: BoolA
     n = sigma_px.shape[0]
     squares, mass, inliers = np.zeros(n), np.zeros(n), 0
     for t in range(n):
+        square, weight, count = 0.0, 0.0, 0
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             if weights[i] > 0.0:
-                squares[t] += weights[i] * (across[i] * stack.focal[t]) ** 2 / SHRINKAGE
-                mass[t] += weights[i]
-                inliers += trusted[t]
+                square += weights[i] * across[i] * across[i]
+                weight += weights[i]
+                count += 1
+        squares[t], mass[t] = square * stack.focal[t] ** 2 / SHRINKAGE, weight
+        inliers += count * trusted[t]
     if inliers == 0:
         return
     # The motion's six unknowns have taken their share of the squares.
