@@ -107,14 +107,8 @@ def no_matched(n: int) -> Matched:
 def no_equations(noise: bool, missing: bool) -> Equations:
     """To be filled, with the parts of noise and of what is missing or without."""
     unknowns, size, lost = 6 + SURFACE, 6 if noise else 0, 6 + SURFACE if missing else 0
-    return Equations(
-        np.zeros((unknowns, unknowns)),
-        np.zeros(unknowns),
-        np.zeros(6),
-        np.zeros(1),
-        np.zeros((size, size)),
-        np.zeros((lost, lost)),
-    )
+    hessian, gradient = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
+    return Equations(hessian, gradient, np.zeros(6), np.zeros(1), np.zeros((size, size)), np.zeros((lost, lost)))
 
 
 def matched(

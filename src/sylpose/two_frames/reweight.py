@@ -372,8 +372,7 @@ def _scale(stack: Stack, weights: FloatArray, across: FloatArray, trusted: BoolA
                 square += weights[i] * across[i] * across[i]
                 weight += weights[i]
                 count += 1
-        squares[t], mass[t] = square * stack.focal[t] ** 2 / SHRINKAGE, weight
-        inliers += count * trusted[t]
+        squares[t], mass[t], inliers = square * stack.focal[t] ** 2 / SHRINKAGE, weight, inliers + count * trusted[t]
     if inliers == 0:
         return
     # The motion's six unknowns have taken their share of the squares.
