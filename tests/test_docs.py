@@ -314,6 +314,8 @@ def test_scripts_and_their_options_exist() -> None:
     for page, (script, *words) in said:
         if script.startswith("../"):  # beside the project
             continue
+        if script == "-m":
+            script = f"src/{words[0].replace('.', '/')}.py"
         options = {word for word in words if word.startswith("--")} - {"--help"}
         assert options <= options_of(REPOSITORY / script), f"{page}: {script} {words}"
 
