@@ -34,13 +34,9 @@ def going(stack: Stack, found: Reweighted) -> FloatArray:
     return out
 
 
-@kernel
 def anywhere(stack: Stack) -> FloatArray:
     """(N,) densities of the matches if they are wrong, per square pixel."""
-    out = np.empty(len(stack.x))
-    for t in range(len(stack.focal)):
-        out[stack.offsets[t] : stack.offsets[t + 1]] = 1.0 / (ANYWHERE * stack.spread[t] * stack.focal[t]) ** 2
-    return out
+    return np.repeat(1.0 / (ANYWHERE * stack.spread * stack.focal) ** 2, np.diff(stack.offsets))
 
 
 @kernel
