@@ -15,7 +15,19 @@ import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
 
-__all__ = ["cholesky", "cholesky_solve", "kernel", "rotation_of", "rotvec_of", "solve_factored", "turn_by"]
+__all__ = [
+    "cholesky",
+    "cholesky_solve",
+    "kernel",
+    "rotation_of",
+    "rotvec_of",
+    "solve_factored",
+    "symmetric_eigen",
+    "turn_by",
+]
+
+# Sweeps of Jacobi's method, at most: five or six do (choice).
+SWEEPS = 30
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -77,6 +89,55 @@ def cholesky_solve(a: FloatArray, b: FloatArray) -> bool:
         return False
     solve_factored(a, b)
     return True
+
+
+@kernel
+def symmetric_eigen(a: FloatArray, values: FloatArray, vectors: FloatArray) -> None:
+    """Eigenvalues (n,), ascending, and eigenvectors (n, n), the columns, of a small symmetric a (n, n), which is lost.
+
+    Source: Jacobi's method, Golub & Van Loan, "Matrix Computations", section 8.5.
+    """
+    n = a.shape[0]
+    for i in range(n):
+        for j in range(n):
+            vectors[i, j] = 1.0 if i == j else 0.0
+    for _ in range(SWEEPS):
+        off, on = 0.0, 0.0
+        for i in range(n):
+            on += a[i, i] * a[i, i]
+            for j in range(i):
+                off += a[i, j] * a[i, j]
+        # Not a number ends it as well.
+        if not off > 1e-32 * on:
+            break
+        for p in range(n):
+            for q in range(p + 1, n):
+                if a[p, q] == 0.0:
+                    continue
+                half = 0.5 * (a[q, q] - a[p, p]) / a[p, q]
+                t = 1.0 / (abs(half) + np.sqrt(half * half + 1.0))
+                t = t if half >= 0.0 else -t
+                c = 1.0 / np.sqrt(t * t + 1.0)
+                s = t * c
+                for k in range(n):
+                    x, y = a[k, p], a[k, q]
+                    a[k, p], a[k, q] = c * x - s * y, s * x + c * y
+                for k in range(n):
+                    x, y = a[p, k], a[q, k]
+                    a[p, k], a[q, k] = c * x - s * y, s * x + c * y
+                    x, y = vectors[k, p], vectors[k, q]
+                    vectors[k, p], vectors[k, q] = c * x - s * y, s * x + c * y
+    for i in range(n):
+        values[i] = a[i, i]
+    for i in range(n):
+        least = i
+        for j in range(i + 1, n):
+            if values[j] < values[least]:
+                least = j
+        if least != i:
+            values[i], values[least] = values[least], values[i]
+            for k in range(n):
+                vectors[k, i], vectors[k, least] = vectors[k, least], vectors[k, i]
 
 
 @kernel

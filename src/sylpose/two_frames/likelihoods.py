@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.two_frames.match_cost import Tolerance, match_equations, matched, no_equations, no_matched
+from sylpose.numerics.compiled import kernel
+from sylpose.two_frames.match_cost import Tolerance, distances, match_equations, no_equations, no_matched
 from sylpose.two_frames.reweight import CUTOFF, GAIN, INDEPENDENT, Reweighted, reduce_term, surface_prior
 from sylpose.two_frames.terms import SURFACE, Stack
 
@@ -18,14 +19,18 @@ __all__ = ["WRONG", "anywhere", "cost_of", "going", "missing"]
 ANYWHERE, WRONG = 4.0, 0.05
 
 
+@kernel
 def going(stack: Stack, found: Reweighted) -> FloatArray:
     """(N,) densities of the matches if they have the motion, per square pixel."""
-    out, every = np.zeros(len(stack.x)), np.ones(len(stack.x), dtype=bool)
-    for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
+    n_matches = len(stack.x)
+    out, every, matches = np.empty(n_matches), np.ones(n_matches), no_matched(n_matches)
+    for t in range(len(stack.focal)):
         variance, relief = (found.sigma_px[t] / stack.focal[t]) ** 2, found.relief[t]
-        m = matched(stack, t, found.candidate, Tolerance(variance, relief, relief, CUTOFF), every, noise=False)[0]
-        spread = np.sqrt(1.0 + (relief * m.parallax) ** 2 / variance)
-        out[first:last] = np.exp(-0.5 * np.minimum(m.distance, 1e3)) / (4.0 * np.pi * found.sigma_px[t] ** 2 * spread)
+        distances(stack, t, every, found.candidate, Tolerance(variance, relief, relief, CUTOFF), matches)
+        at_best = 1.0 / (4.0 * np.pi * found.sigma_px[t] ** 2)
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            spread = np.sqrt(1.0 + (relief * matches.parallax[i]) ** 2 / variance)
+            out[i] = at_best * np.exp(-0.5 * min(matches.distance[i], 1e3)) / spread
     return out
 
 
@@ -34,10 +39,16 @@ def anywhere(stack: Stack) -> FloatArray:
     return np.repeat(1.0 / (ANYWHERE * stack.spread * stack.focal) ** 2, np.diff(stack.offsets))
 
 
+@kernel
 def cost_of(stack: Stack, usable: BoolArray, density: FloatArray) -> float:
     """The negative log-likelihood of densities (N,) per square pixel, as `reweight` has it."""
-    least = np.log(0.5 * anywhere(stack))
-    return float(np.minimum(least - np.log(np.maximum(density, 1e-300)), 0.0)[usable].sum())
+    cost = 0.0
+    for t in range(len(stack.focal)):
+        least = 0.5 / (ANYWHERE * stack.spread[t] * stack.focal[t]) ** 2
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            if usable[i] and density[i] > least:
+                cost -= np.log(density[i] / least)
+    return cost
 
 
 def missing(stack: Stack, found: Reweighted, moving: FloatArray) -> FloatArray:

@@ -366,13 +366,12 @@ def _scale(stack: Stack, weights: FloatArray, across: FloatArray, trusted: BoolA
     n = sigma_px.shape[0]
     squares, mass, inliers = np.zeros(n), np.zeros(n), 0
     for t in range(n):
-        square, weight, count = 0.0, 0.0, 0
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             if weights[i] > 0.0:
-                square += weights[i] * across[i] * across[i]
-                weight += weights[i]
-                count += 1
-        squares[t], mass[t], inliers = square * stack.focal[t] ** 2 / SHRINKAGE, weight, inliers + count * trusted[t]
+                squares[t] += weights[i] * across[i] * across[i]
+                mass[t] += weights[i]
+                inliers += trusted[t]
+        squares[t] *= stack.focal[t] ** 2 / SHRINKAGE
     if inliers == 0:
         return
     # The motion's six unknowns have taken their share of the squares.

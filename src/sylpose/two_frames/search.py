@@ -15,7 +15,8 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.compiled import cholesky_solve, kernel, rotation_of, rotvec_of, turn_by
 from sylpose.numerics.normal_equations import eliminate
 from sylpose.two_frames.affine_turns import FEW, affine_turns
-from sylpose.two_frames.moments_cost import Normal, Sums, along_variance, term_equations, term_misfit
+from sylpose.two_frames.moments_cost import Normal, Sums, along_variance_at, equations_at, misfit_at, term_cost
+from sylpose.two_frames.term_view import look, scratch
 from sylpose.two_frames.terms import Candidate, Guesses, Stack, copy_into
 
 __all__ = ["Minima", "log_likelihood", "minimize", "no_minima", "search", "search_all", "settled"]
@@ -23,9 +24,12 @@ __all__ = ["Minima", "log_likelihood", "minimize", "no_minima", "search", "searc
 
 # A term whose mean square exceeds the usual one by this factor, or this value, is trusted less while searching (choice).
 TRUST = 4.0
-# Iterations after which a start is looked at, and how far its log-likelihood may then be behind the best (choice).
-CHECKED = 3
-HOPELESS = 300.0
+# How far the log-likelihood of a start may be behind the best after its first iterations (choice; measured: of those that
+# came to another minimum within 60 of the best none was behind by more than half of that).
+HOPELESS = (600.0, 450.0, 300.0)
+# A start whose turn is that of a minimum, give or take this share of it, and that is no less likely by more than this, is on
+# the way to it (choice).
+SAME_SHARE, AS_LIKELY = 0.1, 60.0
 # Steps of the plane part alone, at first and from a mirror image, and what the last may promise; the same of the whole
 # cost (choice).
 PLANE_STEPS, MIRROR_STEPS, PLANE_SETTLED = 12, 3, 1.0
@@ -33,6 +37,8 @@ STEPS, SETTLED = 20, 1e-2
 # Steps that are tried, each damped more, before a start counts as settled, and the largest, radians: as far as the
 # derivatives speak of (choice).
 TRIES, LONGEST_STEP = 8, 0.5
+# Damping at first, and again once a step was in vain (choice).
+DAMPING = 1e-4
 # Mirror images that are tried, at most, beside the turn reversed (choice).
 MIRRORS = 4
 # Cameras whose optical axes, or opposite ones, are nearer than this cosine see the same mirror image (choice).
@@ -64,14 +70,16 @@ def _reduce(
     damping: float,
     trust: float,
     gain: FloatArray,
+    block: FloatArray,
+    kept: FloatArray,
     total: FloatArray,
     right: FloatArray,
 ) -> bool:
     """Adds term t's normal equations, its surface eliminated, to total (6, 6) and to right (6,), the negative gradient.
 
-    gain (3, 7) becomes the surface's answer: α changes by -(gain[:, 6] + gain[:, :6] (w, d)).
+    gain (3, 7) becomes the surface's answer: α changes by -(gain[:, 6] + gain[:, :6] (w, d)). block (3, 3) and kept (6, 7)
+    are room.
     """
-    block, kept = np.empty((3, 3)), np.empty((6, 7))
     hessian, gradient = normal.hessian[t], normal.gradient[t]
     for k in range(3):
         for j in range(6):
@@ -114,7 +122,8 @@ def minimize(
     iterations: int,
     tolerance: float,
     candidate: Candidate,
-) -> tuple[int, float]:
+    damping: float,
+) -> tuple[int, float, float]:
     """Levenberg-Marquardt from one start, which becomes the minimum in place.
 
     Args:
@@ -124,22 +133,25 @@ def minimize(
         tolerance: settled when a step promises to lower the cost by less than this: half the square of the step's length in
             standard deviations of the motion.
         candidate: from the start to the minimum.
+        damping: of the first step.
 
     Returns:
-        number of iterations; what the last step promised, below `tolerance` where it settled.
+        number of iterations; what the last step promised, below `tolerance` where it settled; the damping to go on with.
     """
     n = stack.focal.shape[0]
     normal, gain = Normal(np.empty((n, 9, 9)), np.empty((n, 9))), np.empty((n, 3, 7))
     kappa, costs, trust = np.zeros(n), np.empty(n), np.ones(n)
     total, right, step = np.empty((6, 6)), np.empty(6), np.empty(6)
+    block, kept = np.empty((3, 3)), np.empty((6, 7))
     trial = Candidate(np.empty((3, 3)), np.empty(3), np.empty((n, 3)))
-    damping, promise = 1e-4, np.inf
+    promise, at = np.inf, scratch()
     for count in range(1, iterations + 1):
         cost = 0.0
         for t in range(n):
+            look(stack, t, candidate, at)
             if not plane_only:
-                kappa[t], _ = along_variance(stack, sums, t, candidate)
-            costs[t] = term_equations(stack, sums, t, kappa[t], candidate, normal, True)
+                kappa[t], _ = along_variance_at(stack, sums, t, at)
+            costs[t] = equations_at(stack, sums, t, kappa[t], candidate.surface[t], at, normal)
         if soft and n > 2:
             _trusts(costs, sums.moments, trust)
         for t in range(n):
@@ -150,7 +162,7 @@ def minimize(
             right[:] = 0.0
             sound = True
             for t in range(n):
-                sound = sound and _reduce(normal, t, damping, trust[t], gain[t], total, right)
+                sound = sound and _reduce(normal, t, damping, trust[t], gain[t], block, kept, total, right)
             if sound:
                 # Turns and shifts have different units: each block is damped by its own trace.
                 turns, shifts = total[0, 0] + total[1, 1] + total[2, 2], total[3, 3] + total[4, 4] + total[5, 5]
@@ -176,29 +188,30 @@ def minimize(
                         promise += 0.5 * trust[t] * gain[t, i, 6] * normal.gradient[t, 6 + i]
                         for k in range(6):
                             trial.surface[t, i] -= gain[t, i, k] * step[k]
-                    new += trust[t] * term_equations(stack, sums, t, kappa[t], trial, normal, False)
+                    new += trust[t] * term_cost(stack, sums, t, kappa[t], trial, at)
                 if new <= cost * (1.0 + 1e-12):
                     taken = True
                     break
-            damping = max(10.0 * damping, 1e-4)
+            damping = max(10.0 * damping, DAMPING)
         if not taken:
-            return count, promise
+            return count, promise, damping
         copy_into(candidate, trial)
         damping = max(0.1 * damping, 1e-9)
         if promise < tolerance:
-            return count, promise
-    return iterations, promise
+            return count, promise, damping
+    return iterations, promise, damping
 
 
 @kernel
 def log_likelihood(stack: Stack, sums: Sums, candidate: Candidate) -> float:
     """How likely a minimum is, to compare minima by: up to a constant that they share."""
     total, n = 0.0, stack.focal.shape[0]
-    squares = np.empty(n)
+    squares, at = np.empty(n), scratch()
     for t in range(n):
         variance, count = sums.variance[t], sums.moments[t, 8, 8]
-        _, v = along_variance(stack, sums, t, candidate)
-        squares[t] = term_misfit(stack, sums, t, candidate) / variance
+        look(stack, t, candidate, at)
+        _, v = along_variance_at(stack, sums, t, at)
+        squares[t] = misfit_at(sums, t, at) / variance
         squares[t] += count * np.log(v / (2.0 * variance))
         for j in range(3):
             squares[t] += ((candidate.surface[t, j] - stack.plane_mean[t, j]) / stack.plane_sd[t, j]) ** 2
@@ -237,7 +250,7 @@ def search(stack: Stack, sums: Sums, guesses: Guesses, minima: Minima) -> int:
         mirror, guess = (start - 1) // 2, start - 1 - 2 * n_mirrors
         candidate.surface[:] = stack.plane_mean
         if start == 0:
-            done, _ = minimize(stack, sums, True, True, PLANE_STEPS, PLANE_SETTLED, candidate)
+            done, _, _ = minimize(stack, sums, True, True, PLANE_STEPS, PLANE_SETTLED, candidate, DAMPING)
             count += done
         elif guess < 0:
             axis = axes[mirror]
@@ -251,23 +264,32 @@ def search(stack: Stack, sums: Sums, guesses: Guesses, minima: Minima) -> int:
                     for j in range(1, 3):
                         candidate.surface[t, j] = -base_surface[t, j]
             else:
-                done, _ = minimize(stack, sums, True, True, MIRROR_STEPS, PLANE_SETTLED, candidate)
+                done, _, _ = minimize(stack, sums, True, True, MIRROR_STEPS, PLANE_SETTLED, candidate, DAMPING)
                 count += done
         elif guess < n_guesses:
             candidate.rotation[:], candidate.shift[:] = guesses.rotations[guess], guesses.shifts[guess]
         else:
             rotation_of(affine[guess - n_guesses], candidate.rotation)
             candidate.shift[:] = base_shift
-            done, _ = minimize(stack, sums, True, True, MIRROR_STEPS, PLANE_SETTLED, candidate)
+            done, _, _ = minimize(stack, sums, True, True, MIRROR_STEPS, PLANE_SETTLED, candidate, DAMPING)
             count += done
-        done, promise = minimize(stack, sums, True, False, CHECKED, SETTLED, candidate)
-        count += done
-        value = log_likelihood(stack, sums, candidate)
-        # On the way to a minimum that is known, or to nowhere: not worth the rest of the way.
-        if start > 0 and (value < minima.likelihoods[0] - HOPELESS or _known(candidate, minima)):
+        promise, damping, value = np.inf, DAMPING, -np.inf
+        near = _known(candidate, minima)
+        dropped = near >= 0 and log_likelihood(stack, sums, candidate) > minima.likelihoods[near] - AS_LIKELY
+        for k in range(len(HOPELESS)):
+            if dropped or promise < SETTLED:
+                break
+            done, promise, damping = minimize(stack, sums, True, False, 1, SETTLED, candidate, damping)
+            count += done
+            value = log_likelihood(stack, sums, candidate)
+            # On the way to a minimum that is known, or to nowhere: not worth the rest of the way.
+            near = _known(candidate, minima)
+            dropped = value < minima.likelihoods[0] - HOPELESS[k]
+            dropped = dropped or (near >= 0 and value > minima.likelihoods[near] - AS_LIKELY)
+        if dropped:
             continue
         if promise >= SETTLED:
-            done, _ = minimize(stack, sums, True, False, STEPS, SETTLED, candidate)
+            done, _, _ = minimize(stack, sums, True, False, STEPS, SETTLED, candidate, damping)
             count += done
             value = log_likelihood(stack, sums, candidate)
         if start == 0:
@@ -285,7 +307,7 @@ def settled(
     """`minimize` of the whole cost, all terms trusted, from a start that is left as it is; number of iterations; what the
     last step promised."""
     candidate = start.copied()
-    count, promise = minimize(stack, sums, False, False, iterations, tolerance, candidate)
+    count, promise, _ = minimize(stack, sums, False, False, iterations, tolerance, candidate, DAMPING)
     return candidate, count, promise
 
 
@@ -340,14 +362,21 @@ def _keep(candidate: Candidate, value: float, minima: Minima) -> None:
 
 
 @kernel
-def _known(candidate: Candidate, minima: Minima) -> bool:
-    """Whether a minimum is in the list."""
+def _known(candidate: Candidate, minima: Minima) -> int:
+    """The minimum in the list whose turn a candidate has, about; -1 where there is none."""
     for k in range(minima.likelihoods.shape[0]):
-        if minima.likelihoods[k] > -np.inf and _same(
-            minima.rotations[k], minima.shifts[k], candidate.rotation, candidate.shift
-        ):
-            return True
-    return False
+        if not minima.likelihoods[k] > -np.inf:
+            continue
+        known = minima.rotations[k]
+        if _same(known, minima.shifts[k], candidate.rotation, candidate.shift):
+            return k
+        gap, turn = 3.0, 3.0 - (known[0, 0] + known[1, 1] + known[2, 2])
+        for i in range(3):
+            for j in range(3):
+                gap -= known[i, j] * candidate.rotation[i, j]
+        if gap < SAME_SHARE**2 * turn:
+            return k
+    return -1
 
 
 @kernel

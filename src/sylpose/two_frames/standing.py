@@ -13,15 +13,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.compiled import rotvec_of
+from sylpose.numerics.compiled import kernel, rotation_of, rotvec_of
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.likelihoods import WRONG, anywhere, cost_of, going
 from sylpose.two_frames.reweight import Reweighted, nothing_yet, reweight
 from sylpose.two_frames.robust_fit import Settled, fitted
-from sylpose.two_frames.terms import Guesses, Stack, copy_into
+from sylpose.two_frames.terms import Candidate, Guesses, Stack, copy_into
 from sylpose.two_frames.verdict import is_consistent
 
 __all__ = ["LARGER", "LIKELIER", "Parted", "hidden", "parted", "some_move"]
@@ -40,6 +39,8 @@ SIGMA_PX, SHARES = (0.02, 3.0), (1e-3, 0.999 - WRONG)
 # Rounds of two kinds of displacements, and of the mixture, at most, which has settled where no more than this of a match
 # changes sides (choice).
 APART, ROUNDS, SETTLED = 50, 15, 0.02
+# Displacements that two kinds are told by, about, and by how little their share still changes then (choice).
+COMPARED, SAME_SHARE = 256, 1e-6
 # What moves is no noisier than this times what stands still, which may be exact: two frames of a pause (choice).
 NOISIER, EXACT_PX = 5.0, 0.1
 # A motion is another's start where it is within three of its standard deviations (choice).
@@ -157,26 +158,41 @@ def hidden(stack: Stack, usable: BoolArray, one: Reweighted) -> tuple[float, flo
     off = _displacements(stack)
     if not _may_stand(stack, off, usable):
         return 1.0, -np.inf
-    standing = _standing(off, float(np.median(one.sigma_px)))
     larger = nothing_yet(stack)
     larger.sigma_px[:], larger.relief[:] = one.sigma_px, one.relief
-    turn = Rotation.from_matrix(one.candidate.rotation).as_rotvec()
-    most, costs = 1.0, []
-    for factor in (1.0, *LARGER):
-        copy_into(larger.candidate, one.candidate)
-        larger.candidate.rotation[:] = Rotation.from_rotvec(factor * turn).as_matrix()
-        larger.candidate.shift[:] *= factor
+    return _larger(stack, usable, one.candidate, larger, _standing(off, float(np.median(one.sigma_px))))
+
+
+@kernel
+def _larger(
+    stack: Stack, usable: BoolArray, one: Candidate, larger: Reweighted, standing: FloatArray
+) -> tuple[float, float]:
+    """What `hidden` says, of a motion and the densities (N,) if all stand still; larger has the noise, and is room."""
+    turn, most, alone, least = np.empty(3), 1.0, 0.0, np.inf
+    rotvec_of(one.rotation, turn)
+    for k in range(1 + len(LARGER)):
+        factor = LARGER[k - 1] if k > 0 else 1.0
+        copy_into(larger.candidate, one)
+        rotation_of(factor * turn, larger.candidate.rotation)
+        larger.candidate.shift[:] = factor * one.shift
         along = going(stack, larger)
-        costs += [cost_of(stack, usable, along)] if factor == 1.0 else []
+        if k == 0:
+            alone = cost_of(stack, usable, along)
         share = max(1.0 - 1.0 / factor, BACKGROUND)
         for _ in range(SHARED):
-            both = share * standing + (1.0 - share) * along
-            share = float((share * standing / np.maximum(both, 1e-300))[usable].mean())
-        costs.append(cost_of(stack, usable, share * standing + (1.0 - share) * along))
-        if costs[-1] > min(costs) + AS_LIKELY:
-            break
-        most = factor
-    return most, costs[0] - min(costs[1:])
+            total, count = 0.0, 0
+            for i in range(len(along)):
+                if usable[i]:
+                    both = share * standing[i] + (1.0 - share) * along[i]
+                    total += share * standing[i] / max(both, 1e-300)
+                    count += 1
+            share = total / count
+        cost = cost_of(stack, usable, share * standing + (1.0 - share) * along)
+        # The first of all costs is that of no background.
+        if cost > min(least, alone) + AS_LIKELY:
+            return most, alone - min(least, cost)
+        least, most = min(least, cost), factor
+    return most, alone - least
 
 
 def _still_sigma(off: FloatArray, usable: BoolArray, one: Reweighted) -> float:
@@ -189,10 +205,15 @@ def _still_sigma(off: FloatArray, usable: BoolArray, one: Reweighted) -> float:
     return max(min(sigma, quarter if np.isfinite(quarter) and quarter > 0 else sigma, 3.0), 0.02)
 
 
+@kernel
 def _displacements(stack: Stack) -> FloatArray:
     """(N,) their squares, square pixels."""
-    squares = ((stack.y - stack.x) ** 2).sum(axis=1)
-    return np.asarray(squares * np.repeat(stack.focal**2, np.diff(stack.offsets)))
+    out = np.empty(len(stack.x))
+    for t in range(len(stack.focal)):
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            dx, dy = stack.y[i, 0] - stack.x[i, 0], stack.y[i, 1] - stack.x[i, 1]
+            out[i] = (dx * dx + dy * dy) * stack.focal[t] ** 2
+    return out
 
 
 def _may_stand(stack: Stack, off: FloatArray, usable: BoolArray) -> bool:
@@ -211,18 +232,34 @@ def _two_kinds(off: FloatArray, usable: BoolArray) -> tuple[float, FloatArray]:
     """Squares of displacements (N,) as two kinds of noise, one larger: the less, as a standard deviation in pixels of a
     keypoint, and (N,) the probability of each match to be of it. What goes far is of neither."""
     near = off < FAR_PX**2
-    some = off[usable & near]
+    some = np.sort(off[usable & near])
     # A square of two coordinates is exponential; its mean is four times the variance of one keypoint's coordinate.
-    least, most = (max(float(part.mean()), 1e-12) for part in np.array_split(np.sort(some), 2))
-    share = 0.5
+    least, most = (max(float(part.mean()), 1e-12) for part in np.array_split(some, 2))
+    # Of many each so manieth tells as much.
+    share, least, most = _shares(some[:: 1 + len(some) // COMPARED], least, most)
+    odds = (1.0 - share) / share * least / most
+    still = 1.0 / (1.0 + odds * np.exp(np.minimum(off * (1.0 / least - 1.0 / most), 700.0)))
+    return float(np.sqrt(least / 4.0)), np.where(near, still, 0.0)
+
+
+@kernel
+def _shares(some: FloatArray, least: float, most: float) -> tuple[float, float, float]:
+    """The share of the less of two exponential distributions, and the means of both, from those of the halves."""
+    share, n = 0.5, len(some)
     for _ in range(APART):
-        still, moving = share / least * np.exp(-some / least), (1.0 - share) / most * np.exp(-some / most)
-        p = still / np.maximum(still + moving, 1e-300)
-        share = float(np.clip(p.mean(), 1e-3, 1.0 - 1e-3))
-        least = max(float((p * some).sum() / p.sum()), 4.0 * SIGMA_PX[0] ** 2)
-        most = max(float(((1.0 - p) * some).sum() / max((1.0 - p).sum(), 1e-300)), least)
-    still, moving = share / least * np.exp(-off / least), (1.0 - share) / most * np.exp(-off / most)
-    return float(np.sqrt(least / 4.0)), np.where(near, still / np.maximum(still + moving, 1e-300), 0.0)
+        odds, rate = (1.0 - share) / share * least / most, 1.0 / least - 1.0 / most
+        mass, square, rest = 0.0, 0.0, 0.0
+        for i in range(n):
+            p = 1.0 / (1.0 + odds * np.exp(min(some[i] * rate, 700.0)))
+            mass += p
+            square += p * some[i]
+            rest += (1.0 - p) * some[i]
+        before, share = share, min(max(mass / n, 1e-3), 1.0 - 1e-3)
+        least = max(square / mass, 4.0 * SIGMA_PX[0] ** 2)
+        most = max(rest / max(n - mass, 1e-300), least)
+        if abs(share - before) < SAME_SHARE:
+            break
+    return share, least, most
 
 
 def _mixture(
@@ -270,6 +307,10 @@ def _holds(stack: Stack, usable: BoolArray, mixture: _Mixture) -> bool:
     return bool(mixture.moving.sum() >= LEAST and is_consistent(stack, others, found))
 
 
+@kernel
 def _standing(off: FloatArray, sigma: float) -> FloatArray:
     """(N,) densities if all stand still, per square pixel."""
-    return np.asarray(np.exp(-0.25 * off / sigma**2) / (4.0 * np.pi * sigma**2))
+    out = np.empty(len(off))
+    for i in range(len(off)):
+        out[i] = np.exp(-0.25 * off[i] / sigma**2) / (4.0 * np.pi * sigma**2)
+    return out

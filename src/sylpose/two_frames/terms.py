@@ -22,7 +22,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.compiled import kernel, turn_by
-from sylpose.rig import nearest_point_to_rays
+from sylpose.two_frames.place import ROUNDING, misplaced, placed
 
 __all__ = [
     "ROUNDING",
@@ -55,18 +55,8 @@ RELIEF_SD = 0.25
 # The prior of the first look (`moments_cost`): a plane through the visible side alone, as much nearer than g as the quadric
 # is at the anchor (derived, rounded); with Gauss's tails, so wider than Cauchy's, and all else for relief (choice).
 PLANE_OFFSET, PLANE_OFFSET_SD, PLANE_SLOPE_SD, PLANE_RELIEF_SD = 0.3, OFFSET_SD, 1.0, 0.3
-# g is where median rays meet: cameras nearly in one place, by the smallest eigenvalue of the normal equations of that point,
-# tell nothing of it (choice), and those whose mean ray is shorter than this look from opposite sides (choice).
-ONE_PLACE, OPPOSITE = 1e-5, 0.5
 # In a first look the inverse depth of g is never believed to be worse known than this (choice).
 FARTHEST = 0.3
-# Where their inverse distance is so many standard deviations above nothing, rays do meet (choice).
-CONVERGING = 5.0
-# Centers nearer to each other than this, of their coordinates, are one (derived: rounding).
-ROUNDING = 1e-9
-# Where rays go so far apart that their mean is shorter, a cone of some 36 degrees, they do (choice).
-CLOSE_RAYS = 0.95
-
 # What is believed of a surface, in radii of the object, less the 1 of its inverse depth; slopes, which are per spread, come
 # on their own (derived).
 _MEAN = np.array([OFFSET_PER_BULGE, 0.0, 0.0, -1.0, 0.0, -1.0]) * BULGE
@@ -232,19 +222,8 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> 
     offsets = _offsets(data)
     qx, qy = np.array([term.rotation_x for term in data]), np.array([term.rotation for term in data])
     a1, a2 = np.array([term.center_x for term in data]) - center, np.array([term.center for term in data]) - center
-    place = -np.einsum("tij,tj->ti", qx, a1)
-    depth = np.maximum(np.abs(place[:, 2]), 1e-12)
-    # An object that reaches to its camera: its depth is bounded as well as can be.
-    share = np.minimum(radius / depth, 1.0)
-    spread = 0.5 * share
-    place_sd = _place_sd(a1, qx)
-    scale = np.repeat(1.0 / share[:, None], SURFACE, axis=1)
-    scale[:, 1:3] = 1.0 / (SLOPE_SD * spread[:, None])
-    plane_mean = np.zeros((len(data), 3))
-    plane_mean[:, 0] = 1.0 + PLANE_OFFSET * share
-    # In a first look lengths may as well be wrong as depths negative.
-    plane_offset_sd = np.minimum(np.hypot(PLANE_OFFSET_SD, place_sd) * share, FARTHEST)
-    return Stack(
+    n = len(data)
+    stack = Stack(
         x=x,
         y=y,
         offsets=offsets,
@@ -252,35 +231,51 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> 
         qy=qy,
         a1=a1,
         a2=a2,
-        anchor=place[:, :2] / depth[:, None],
-        spread=spread,
-        inverse_depth=1.0 / depth,
-        surface_mean=np.eye(1, SURFACE) + share[:, None] * _MEAN,
-        surface_information=_INFORMATION * scale[:, :, None] * scale[:, None, :],
-        place=place_sd * share,
-        relief=RELIEF_SD * share,
-        plane_mean=plane_mean,
-        plane_sd=np.column_stack([plane_offset_sd, PLANE_SLOPE_SD * spread, PLANE_SLOPE_SD * spread]),
-        plane_relief=PLANE_RELIEF_SD * share,
+        anchor=np.empty((n, 2)),
+        spread=np.empty(n),
+        inverse_depth=np.empty(n),
+        surface_mean=np.empty((n, SURFACE)),
+        surface_information=np.empty((n, SURFACE, SURFACE)),
+        place=np.empty(n),
+        relief=np.empty(n),
+        plane_mean=np.empty((n, 3)),
+        plane_sd=np.empty((n, 3)),
+        plane_relief=np.empty(n),
         focal=np.array([term.focal for term in data]),
     )
+    _believe(stack, radius)
+    return stack
 
 
-def _place_sd(a1: FloatArray, qx: FloatArray) -> FloatArray:
-    """(T,) how much worse than its offset's scatter each term's inverse depth of g is known, in radii of the object; signed,
-    since one unknown is behind them all.
-
-    g is where the terms' median rays meet, each of which misses the object's centre by `OFFSET_SD` radii or so. Cameras
-    close together, seen from the object, magnify that along the direction that they see it in. Those in one place tell
-    nothing of it, and nothing is assumed.
-    """
-    rays = a1 / np.maximum(np.linalg.norm(a1, axis=1, keepdims=True), 1e-300)
-    # The sum of the eigenvalues is twice the number of rays, and none exceeds that number: at most one is below 1.
-    values, vectors = np.linalg.eigh((np.eye(3) - rays[:, :, None] * rays[:, None, :]).sum(axis=0))
-    # Cameras on opposite sides have it between them.
-    if not values[0] > ONE_PLACE or np.linalg.norm(rays.mean(axis=0)) < OPPOSITE:
-        return np.zeros(len(a1))
-    return np.asarray(-OFFSET_SD * np.sqrt(max(1.0 / values[0] - 1.0, 0.0)) * (qx[:, 2] @ vectors[:, 0]))
+@kernel
+def _believe(stack: Stack, radius: float) -> None:
+    """What is believed of all surfaces before anything is measured."""
+    place_sd = stack.place
+    misplaced(stack.a1, stack.qx, OFFSET_SD, place_sd)
+    scale = np.empty(SURFACE)
+    for t in range(len(place_sd)):
+        q, a = stack.qx[t], stack.a1[t]
+        place = -(q[2, 0] * a[0] + q[2, 1] * a[1] + q[2, 2] * a[2])
+        depth = max(abs(place), 1e-12)
+        for i in range(2):
+            stack.anchor[t, i] = -(q[i, 0] * a[0] + q[i, 1] * a[1] + q[i, 2] * a[2]) / depth
+        # An object that reaches to its camera: its depth is bounded as well as can be.
+        share = min(radius / depth, 1.0)
+        spread = 0.5 * share
+        stack.inverse_depth[t], stack.spread[t] = 1.0 / depth, spread
+        scale[:] = 1.0 / share
+        scale[1:3] = 1.0 / (SLOPE_SD * spread)
+        for k in range(SURFACE):
+            stack.surface_mean[t, k] = share * _MEAN[k] + (1.0 if k == 0 else 0.0)
+            for j in range(SURFACE):
+                stack.surface_information[t, k, j] = _INFORMATION[k, j] * scale[k] * scale[j]
+        stack.relief[t], stack.plane_relief[t] = RELIEF_SD * share, PLANE_RELIEF_SD * share
+        # In a first look lengths may as well be wrong as depths negative.
+        stack.plane_sd[t, 0] = min(np.hypot(PLANE_OFFSET_SD, place_sd[t]) * share, FARTHEST)
+        stack.plane_mean[t, 0] = 1.0 + PLANE_OFFSET * share
+        for j in range(1, 3):
+            stack.plane_mean[t, j], stack.plane_sd[t, j] = 0.0, PLANE_SLOPE_SD * spread
+        place_sd[t] *= share
 
 
 def object_place(data: Sequence[TermData]) -> tuple[FloatArray, float]:
@@ -290,54 +285,11 @@ def object_place(data: Sequence[TermData]) -> tuple[FloatArray, float]:
         center (3,), the point nearest to the rays through each camera's median point (at distance 1 with one camera);
         radius, length units: twice the median distance of points from it.
     """
-    anchor, spread = np.empty((len(data), 2)), np.empty(len(data))
-    _medians(np.ascontiguousarray(np.concatenate([term.x for term in data])), _offsets(data), anchor, spread)
-    turns = np.array([term.rotation_x for term in data])
-    centers = np.array([term.center_x for term in data])
-    rays = np.einsum("ti,tij->tj", np.column_stack([anchor, np.ones(len(data))]), turns)
-    center = _meeting_point(centers, rays / np.linalg.norm(rays, axis=1, keepdims=True), spread)
-    depths = np.abs(np.einsum("tj,tj->t", turns[:, 2], center - centers))
-    counts = np.array([len(term) for term in data], dtype=float)
-    radius = 2.0 * float(counts @ (spread * depths) / counts.sum())
-    return center, max(radius, 1e-6 * float(np.mean(depths)))
-
-
-def _meeting_point(centers: FloatArray, rays: FloatArray, spread: FloatArray) -> FloatArray:
-    """Where rays (T, 3) from centers (T, 3) through the middle of objects meet, each of which misses the object's centre.
-
-    Where the centers are close together, what the rays miss by, a part `OFFSET_SD` of the object's radius of 2 spread,
-    outweighs what they converge by: they may meet at any distance, or behind the cameras. Then the object is put no farther
-    away than a standard deviation of its inverse distance allows.
-    """
-    middle, along = centers.mean(axis=0), rays.mean(axis=0)
-    if not np.linalg.norm(along) > CLOSE_RAYS:
-        return nearest_point_to_rays(centers, rays)
-    along /= np.linalg.norm(along)
-    # Seen in the plane across, a ray has the slope (c - b) / depth at the place b, for an object about c.
-    beside = centers - middle
-    beside -= np.outer(beside @ along, along)
-    squares, least = float(np.sum(beside**2)), (ROUNDING * float(np.abs(centers).max())) ** 2
-    slopes = rays / (rays @ along)[:, None]
-    sd = OFFSET_SD * 2.0 * float(np.mean(spread)) / np.sqrt(squares) if squares > least else np.inf
-    inverse = -float(np.sum(slopes * beside)) / squares if squares > least else 0.0
-    if inverse > CONVERGING * sd or not np.isfinite(sd):
-        return nearest_point_to_rays(centers, rays)
-    return np.asarray(middle + slopes.mean(axis=0) / (0.5 * (inverse + np.hypot(inverse, 2.0 * sd))))
+    x = np.ascontiguousarray(np.concatenate([term.x for term in data]))
+    turns, centers = np.array([term.rotation_x for term in data]), np.array([term.center_x for term in data])
+    center = np.empty(3)
+    return center, float(placed(x, _offsets(data), turns, centers, OFFSET_SD, center))
 
 
 def _offsets(data: Sequence[TermData]) -> IntArray:
     return np.cumsum([0, *(len(term) for term in data)], dtype=np.int64)
-
-
-@kernel
-def _medians(x: FloatArray, offsets: IntArray, anchor: FloatArray, spread: FloatArray) -> None:
-    """Each term's median point (T, 2), and the median distance (T,) of its points from it."""
-    for t in range(spread.shape[0]):
-        mine = x[offsets[t] : offsets[t + 1]]
-        far = np.empty(len(mine))
-        for a in range(2):
-            far[:] = mine[:, a]
-            anchor[t, a] = np.median(far)
-        for i in range(len(mine)):
-            far[i] = np.sqrt((mine[i, 0] - anchor[t, 0]) ** 2 + (mine[i, 1] - anchor[t, 1]) ** 2)
-        spread[t] = np.median(far)
