@@ -1,6 +1,6 @@
 """Where the object is, by where its matches are in the images: where the cameras' rays meet.
 
-Source: the least sum of squared distances to lines is that of `rig.nearest_point_to_rays`; the rest is ours (docs/method.md).
+Source: the least sum of squared distances is that of `rig.nearest_point_to_rays`; the rest is ours (docs/method.md).
 """
 
 from __future__ import annotations
