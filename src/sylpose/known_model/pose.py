@@ -153,6 +153,8 @@ def _checked(camera: Camera, name: str, values: ArrayLike, width: int) -> FloatA
 
 def _enough(model: FloatArray, camera: IntArray) -> bool:
     """Whether at least `MIN_MATCHES` different points are seen, each point counted once per camera."""
+    if len(model) > 10 * MIN_MATCHES and _enough(model[: 10 * MIN_MATCHES], camera[: 10 * MIN_MATCHES]):
+        return True
     for _ in range(MIN_MATCHES - 1):
         if not len(model):
             return False
@@ -353,7 +355,8 @@ def _result(
     if pose is not None and origin is not None and status.has_pose:
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = pose.rotation, origin + pose.place - pose.rotation @ center
-        motion = RigidTransform.from_matrix(matrix)
+        # A rotation to rounding, as the solver keeps it.
+        motion = RigidTransform(matrix, normalize=False)
     seen = np.zeros((6, 6)) if seen is None else seen
     return Motion(
         status=status,

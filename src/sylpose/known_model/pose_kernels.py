@@ -68,8 +68,9 @@ def _seen(views: Views, k: int, turn: FloatArray, shift: FloatArray) -> tuple[fl
     """Match k in its camera: depth, normalised image (2), reprojection error in pixels (2); for positive depths only."""
     x, y, z = views.points[k, 0], views.points[k, 1], views.points[k, 2]
     depth = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z + shift[2]
-    u = (turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + shift[0]) / depth
-    v = (turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + shift[1]) / depth
+    nearness = 1.0 / depth
+    u = (turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + shift[0]) * nearness
+    v = (turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + shift[1]) * nearness
     du, dv = u - views.images[k, 0], v - views.images[k, 1]
     by = views.to_pixels
     return depth, u, v, by[k, 0] * du + by[k, 1] * dv, by[k, 2] * du + by[k, 3] * dv
@@ -135,8 +136,9 @@ def _normal_equations(
             x1 = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
             x2 = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
             by = views.to_pixels
+            nearness = 1.0 / depth
             for j in range(3):
-                by_u, by_v = (q[0, j] - u * q[2, j]) / depth, (q[1, j] - v * q[2, j]) / depth
+                by_u, by_v = (q[0, j] - u * q[2, j]) * nearness, (q[1, j] - v * q[2, j]) * nearness
                 row[0, 3 + j] = by[k, 0] * by_u + by[k, 1] * by_v
                 row[1, 3 + j] = by[k, 2] * by_u + by[k, 3] * by_v
             for i in range(2):
@@ -151,6 +153,21 @@ def _normal_equations(
     for i in range(6):
         for j in range(i):
             hessian[j, i] = hessian[i, j]
+    return loss
+
+
+@kernel
+def _loss(views: Views, rotation: FloatArray, place: FloatArray, noise: Noise) -> float:
+    """The loss alone, as `_normal_equations` has it."""
+    turn, shift = np.empty((3, 3)), np.empty(3)
+    loss = 0.0
+    for c in range(len(views.turns)):
+        _camera_from_model(views, c, rotation, place, turn, shift)
+        top = noise.tops[c]
+        each = 0.5 * top / noise.variances[c]
+        for k in range(views.start[c], views.start[c + 1]):
+            depth, _, _, r0, r1 = _seen(views, k, turn, shift)
+            loss += each * biquartic_loss((r0 * r0 + r1 * r1) / top if depth > 0.0 else 2.0)
     return loss
 
 
@@ -177,7 +194,7 @@ def minimize(
     damped, step = np.empty((6, 6)), np.empty(6)
     loss = _normal_equations(views, rotation, place, noise, hessian, gradient)
     promised = np.inf
-    for _ in range(steps):
+    for step_ in range(steps):
         for i in range(6):
             for j in range(6):
                 damped[i, j] = hessian[i, j]
@@ -193,7 +210,11 @@ def minimize(
         turn_by(step[:3], rotation, new_rotation)
         for i in range(3):
             new_place[i] = place[i] + step[3 + i]
-        new_loss = _normal_equations(views, new_rotation, new_place, noise, new_hessian, new_gradient)
+        if step_ + 1 < steps:
+            new_loss = _normal_equations(views, new_rotation, new_place, noise, new_hessian, new_gradient)
+        else:
+            # No step follows that would need more.
+            new_loss = _loss(views, new_rotation, new_place, noise)
         if new_loss <= loss:
             _copy_pose(new_rotation, new_place, rotation, place)
             hessian, new_hessian, gradient, new_gradient = new_hessian, hessian, new_gradient, gradient

@@ -108,7 +108,7 @@ def symmetric_eigen(a: FloatArray, values: FloatArray, vectors: FloatArray) -> N
             for j in range(i):
                 off += a[i, j] * a[i, j]
         # Not a number ends it as well.
-        if not off > 1e-32 * on:
+        if not off > 1e-30 * on:
             break
         for p in range(n):
             for q in range(p + 1, n):
@@ -125,6 +125,8 @@ def symmetric_eigen(a: FloatArray, values: FloatArray, vectors: FloatArray) -> N
                 for k in range(n):
                     x, y = a[p, k], a[q, k]
                     a[p, k], a[q, k] = c * x - s * y, s * x + c * y
+                a[p, q] = a[q, p] = 0.0
+                for k in range(n):
                     x, y = vectors[k, p], vectors[k, q]
                     vectors[k, p], vectors[k, q] = c * x - s * y, s * x + c * y
     for i in range(n):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.compiled import kernel, symmetric_eigen
 
 __all__ = [
     "checked_rotations",
@@ -85,12 +86,33 @@ def covariance_of(information: FloatArray) -> FloatArray:
     Turns and displacements have different units, so it is scaled to a unit diagonal before its rank is
     judged. Infinite variances stand on the diagonal; the covariances of such directions are 0.
     """
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    known = values > 1e-10 * max(float(values[-1]), 1e-300)
-    spread = vectors[:, known] * scale[:, None]
-    covariance = (spread / values[known]) @ spread.T
-    unknown = (np.abs(vectors[:, ~known]) > 1e-3).any(axis=1)
-    covariance[unknown] = covariance[:, unknown] = 0.0
-    covariance[unknown, unknown] = np.inf
-    return np.asarray(covariance)
+    covariance = np.empty(information.shape)
+    _invert(np.ascontiguousarray(information, dtype=float), covariance)
+    return covariance
+
+
+@kernel
+def _invert(information: FloatArray, covariance: FloatArray) -> None:
+    """covariance (n, n) becomes `covariance_of`."""
+    n = len(information)
+    scale, scaled, values, vectors = np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, n))
+    for i in range(n):
+        scale[i] = 1.0 / np.sqrt(max(information[i, i], 1e-300))
+    for i in range(n):
+        for j in range(n):
+            scaled[i, j] = information[i, j] * scale[i] * scale[j]
+    symmetric_eigen(scaled, values, vectors)
+    covariance[:] = 0.0
+    least = 1e-10 * max(values[n - 1], 1e-300)
+    for k in range(n):
+        if values[k] > least:
+            for i in range(n):
+                for j in range(n):
+                    covariance[i, j] += vectors[i, k] * scale[i] * vectors[j, k] * scale[j] / values[k]
+    for i in range(n):
+        unknown = False
+        for k in range(n):
+            unknown = unknown or (not values[k] > least and abs(vectors[i, k]) > 1e-3)
+        if unknown:
+            covariance[i, :], covariance[:, i] = 0.0, 0.0
+            covariance[i, i] = np.inf

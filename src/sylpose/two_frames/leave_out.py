@@ -22,7 +22,7 @@ import numpy as np
 from sylpose.matches import STILL_PX
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.compiled import kernel
+from sylpose.numerics.compiled import kernel, symmetric_eigen
 from sylpose.numerics.epipolar import essential, sampson
 from sylpose.paper.bad_cameras import suspect_cameras
 from sylpose.results import Status
@@ -189,9 +189,13 @@ def exchanged(data: Sequence[TermData], solved: Solved, names: Sequence[str], so
 
 def _disagree(data: Sequence[TermData], fit: Fit) -> bool:
     """Whether the cameras do, or there is no answer. What moves by little before a background accuses nobody."""
-    far = np.concatenate([_far(term)[w > 0] for term, w in zip(data, fit.weights, strict=True)])
-    certain = fit.standing == 0.0 or float(np.median(far)) > FAR_PX
-    return not fit.status.has_pose or (certain and (_are_strained(data, fit) or bool(_rejected(data, fit).any())))
+    if not fit.status.has_pose:
+        return True
+    if fit.standing > 0.0:
+        far = np.concatenate([_far(term)[w > 0] for term, w in zip(data, fit.weights, strict=True)])
+        if not float(np.median(far)) > FAR_PX:
+            return False
+    return _are_strained(data, fit) or bool(_rejected(data, fit).any())
 
 
 def _are_strained(data: Sequence[TermData], fit: Fit) -> bool:
@@ -288,14 +292,9 @@ def _strains(data: Sequence[TermData], fit: Fit) -> FloatArray:
     of their own hyperplane, their noise unknown, to the fit. Below 0 where perspective bends the hyperplane by more than the
     fit is off; 0 where there are too few inliers.
     """
-    joint = np.zeros((len(data), 4, 4))
-    sums = [
-        _sums(term.x, term.y, w, r, joint[k])
-        for k, (term, w, r) in enumerate(zip(data, fit.weights, fit.residuals, strict=True))
-    ]
     out = np.zeros(len(data))
-    values = np.linalg.eigvalsh(joint)[:, :2].tolist()
-    for k, (term, (count, mass, squares), (least, second)) in enumerate(zip(data, sums, values, strict=True)):
+    for k, (term, w, r) in enumerate(zip(data, fit.weights, fit.residuals, strict=True)):
+        count, mass, squares, least, second = _sums(term.x, term.y, w, r)
         if count >= ENOUGH:
             # Without parallax both are noise, and the least of them is less than that.
             own = second if second < (1.0 + SCATTER / math.sqrt(count)) * least else least
@@ -306,11 +305,11 @@ def _strains(data: Sequence[TermData], fit: Fit) -> FloatArray:
 
 @kernel
 def _sums(
-    x: FloatArray, y: FloatArray, weights: FloatArray, residuals: FloatArray, joint: FloatArray
-) -> tuple[int, float, float]:
-    """joint (4, 4) becomes the scatter of the inliers' (x, y); returns their number, weight and squared residuals."""
+    x: FloatArray, y: FloatArray, weights: FloatArray, residuals: FloatArray
+) -> tuple[int, float, float, float, float]:
+    """Of the inliers their number, weight and squared residuals, and the least two eigenvalues of the scatter of (x, y)."""
     count, mass, squares = 0, 0.0, 0.0
-    mean, z = np.zeros(4), np.empty(4)
+    mean, z, joint = np.zeros(4), np.empty(4), np.zeros((4, 4))
     for i in range(len(weights)):
         if weights[i] > 0.0:
             count += 1
@@ -320,16 +319,21 @@ def _sums(
                 mean[a] += weights[i] * x[i, a]
                 mean[2 + a] += weights[i] * y[i, a]
     if count == 0:
-        return 0, 0.0, 0.0
+        return 0, 0.0, 0.0, 0.0, 0.0
     for a in range(4):
         mean[a] /= mass
     for i in range(len(weights)):
         if weights[i] > 0.0:
             z[0], z[1], z[2], z[3] = x[i, 0] - mean[0], x[i, 1] - mean[1], y[i, 0] - mean[2], y[i, 1] - mean[3]
             for a in range(4):
-                for b in range(4):
+                for b in range(a + 1):
                     joint[a, b] += weights[i] * z[a] * z[b]
-    return count, mass, squares
+    for a in range(4):
+        for b in range(a):
+            joint[b, a] = joint[a, b]
+    values, vectors = np.empty(4), np.empty((4, 4))
+    symmetric_eigen(joint, values, vectors)
+    return count, mass, squares, values[0], values[1]
 
 
 def _agreeing(term: TermData, solved: Solved) -> BoolArray:

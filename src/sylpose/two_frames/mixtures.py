@@ -50,28 +50,31 @@ def alike(stack: Stack, found: Reweighted) -> tuple[float, float, float]:
     square pixels."""
     total, shared, pairs = 0.0, 0.0, 0
     index, nearest, squares = np.empty(COMPARED, np.int64), np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS)
+    u, v, far = np.empty(COMPARED), np.empty(COMPARED), np.empty(COMPARED)
     for t in range(stack.focal.shape[0]):
         first, last = stack.offsets[t], stack.offsets[t + 1]
         n, stride = 0, 1 + (last - first) // COMPARED
         for i in range(first, last, stride):
             if found.weights[i] > COUNTS:
-                index[n] = i
+                index[n], u[n], v[n] = i, stack.x[i, 0], stack.x[i, 1]
                 n += 1
         if n < JUDGED:
             continue
         for k in range(n):
             i = index[k]
             squares[:], nearest[:] = np.inf, i
-            for k2 in range(n):
-                j = index[k2]
-                square = (stack.x[i, 0] - stack.x[j, 0]) ** 2 + (stack.x[i, 1] - stack.x[j, 1]) ** 2
+            farthest = np.inf
+            for j in range(n):
+                far[j] = (u[k] - u[j]) ** 2 + (v[k] - v[j]) ** 2
+            for j in range(n):
                 # The same match again tells nothing.
-                if square < squares[NEIGHBOURS - 1] and square > 0.0:
+                if far[j] < farthest and far[j] > 0.0:
                     place = NEIGHBOURS - 1
-                    while place > 0 and square < squares[place - 1]:
+                    while place > 0 and far[j] < squares[place - 1]:
                         squares[place], nearest[place] = squares[place - 1], nearest[place - 1]
                         place -= 1
-                    squares[place], nearest[place] = square, j
+                    squares[place], nearest[place] = far[j], index[j]
+                    farthest = squares[NEIGHBOURS - 1]
             for place in range(NEIGHBOURS):
                 if squares[place] < np.inf:
                     both = found.across[i] * found.across[nearest[place]]

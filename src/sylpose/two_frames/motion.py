@@ -159,9 +159,11 @@ def _motion(
     inliers = [np.zeros(len(m), bool) for m in matches]
     residuals = np.full(len(rig), np.nan)
     for term, w, r in zip(data, fit.weights, fit.residuals, strict=True):
-        inliers[term.camera] = w > 0
-        if (w > 0).any():
-            residuals[term.camera] = np.sqrt(np.mean(r[w > 0] ** 2))
+        agree = w > 0
+        inliers[term.camera] = agree
+        count = np.count_nonzero(agree)
+        if count > 0:
+            residuals[term.camera] = np.sqrt(np.dot(r * agree, r) / count)
     fit, open_ = judged(fit, radius)
     guess = fit.status.has_pose or len(open_) > 0
     if fit.status.has_pose and fit.status is not Status.NO_MOTION and (fit.mixed or fit.other is not None):

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.compiled import kernel
-from sylpose.numerics.matrices import forget, transpose
+from sylpose.numerics.compiled import kernel, symmetric_eigen
+from sylpose.numerics.matrices import forget
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.likelihoods import missing
@@ -152,10 +152,11 @@ def _answer(
     freedom = int((weights > 0).sum()) - 6
     known = max(freedom - 2, 1) / freedom
     bent = bend(stack, having, found, radius)
-    both = known * _without(np.stack([information, without_depth]), noise, 2.0)
+    both = [known * _without(part, noise, 2.0) for part in (information, without_depth)]
     if ((having > 0.0) & (having < 1.0)).any():
-        both = _without(both, known * missing(stack, found, having), 1.0)
-    information, without_depth = less_certain(both[0], bent), less_certain(both[1], bent)
+        lost = known * missing(stack, found, having)
+        both = [_without(part, lost, 1.0) for part in both]
+    information, without_depth = (less_certain(part, bent) for part in both)
     other = None
     if stands_still(stack, found, information):
         if some_move(stack, usable, found) or strongest_rival(found, minima, information, radius) is not None:
@@ -207,23 +208,53 @@ def _least_turned(
     return (again, float(promise)) if cost_again < cost + LESS_LIKELY else None
 
 
+@kernel
 def _without(information: FloatArray, part: FloatArray, power: float) -> FloatArray:
-    """Informations (k, 6, 6) less a part (6, 6) that tells nothing.
+    """Information (6, 6) less a part (6, 6) that tells nothing.
 
     With both as quadratic forms in axes where the information is the identity: 1 - ν of each axis is left, to the power.
     Of what noise put there the second: the sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A trace always stays.
     """
-    sizes = np.diagonal(information, axis1=1, axis2=2)
-    largest = sizes.max(axis=1, keepdims=True)
-    if not (largest > 1e-100).all():
-        return information
-    unit = 1.0 / np.sqrt(np.maximum(sizes, 1e-12 * largest))
-    values, vectors = np.linalg.eigh(information * (unit[:, :, None] * unit[:, None, :]))
-    root = np.sqrt(np.maximum(values, 1e-14 * values[:, -1:]))[:, None, :]
-    to_identity = unit[:, :, None] * vectors / root
-    spoilt, axes = np.linalg.eigh(transpose(to_identity) @ part @ to_identity)
-    half = (vectors * root / unit[:, :, None]) @ axes * (np.clip(1.0 - spoilt, 1e-3, 1.0) ** (0.5 * power))[:, None, :]
-    return np.asarray(half @ transpose(half))
+    n, largest = information.shape[0], 0.0
+    for i in range(n):
+        largest = max(largest, information[i, i])
+    if not largest > 1e-100:
+        return information.copy()
+    unit, values = np.empty(n), np.empty(n)
+    scaled, vectors, axes = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    for i in range(n):
+        unit[i] = 1.0 / np.sqrt(max(information[i, i], 1e-12 * largest))
+    for i in range(n):
+        for j in range(n):
+            scaled[i, j] = information[i, j] * unit[i] * unit[j]
+    symmetric_eigen(scaled, values, vectors)
+    root = np.sqrt(np.maximum(values, 1e-14 * values[n - 1]))
+    # The part in axes where the information is the identity.
+    for i in range(n):
+        for k in range(n):
+            axes[i, k] = 0.0
+            for j in range(n):
+                axes[i, k] += part[i, j] * unit[j] * vectors[j, k] / root[k]
+    for k in range(n):
+        for m in range(n):
+            scaled[k, m] = 0.0
+            for i in range(n):
+                scaled[k, m] += unit[i] * vectors[i, k] / root[k] * axes[i, m]
+    symmetric_eigen(scaled, values, axes)
+    half, out = np.empty((n, n)), np.empty((n, n))
+    for m in range(n):
+        left = min(max(1.0 - values[m], 1e-3), 1.0) ** (0.5 * power)
+        for i in range(n):
+            half[i, m] = 0.0
+            for k in range(n):
+                half[i, m] += vectors[i, k] * root[k] / unit[i] * axes[k, m] * left
+    for i in range(n):
+        for j in range(i + 1):
+            out[i, j] = 0.0
+            for m in range(n):
+                out[i, j] += half[i, m] * half[j, m]
+            out[j, i] = out[i, j]
+    return out
 
 
 @kernel

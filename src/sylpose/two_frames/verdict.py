@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.compiled import kernel, rotvec_of
+from sylpose.numerics.compiled import kernel, rotvec_of, symmetric_eigen
 from sylpose.numerics.matrices import covariance_of
+from sylpose.numerics.normal_equations import eliminate
 from sylpose.numerics.robust import chi_squared_bound
 from sylpose.numerics.unseen import UNSEEN_SHARE, about_a_turn, unseen_directions
 from sylpose.results import Status
@@ -45,11 +46,46 @@ def judged(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
     """`observed`, and the directions (k, 6) that its status is about."""
     if fit.status not in (Status.OK, Status.NOT_CERTIFIED):
         return fit, np.empty((0, 6))
+    if _all_seen(fit.information, fit.information_without_depth, fit.rotation, fit.shift, radius):
+        return fit, np.empty((0, 6))
     directions = unseen(fit, radius)
     if len(directions) == 0:
         return fit, directions
     turn = about_a_turn(directions * ([radius] * 3 + [1.0] * 3))
     return replace(fit, status=Status.TURN_NOT_OBSERVABLE if turn else Status.SCALE_NOT_OBSERVABLE), directions
+
+
+@kernel
+def _all_seen(
+    information: FloatArray, without_depth: FloatArray, rotation: FloatArray, shift: FloatArray, radius: float
+) -> bool:
+    """Whether `unseen` finds nothing, as a rule: for a fraction of its time; False where it is to be asked."""
+    turn, scaled, values, vectors = np.empty(3), np.empty((6, 6)), np.empty(6), np.empty((6, 6))
+    rotvec_of(rotation, turn)
+    angle = np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
+    length = np.sqrt(shift[0] ** 2 + shift[1] ** 2 + shift[2] ** 2)
+    limit = UNSEEN_SHARE * np.hypot(radius * angle, length)
+    for i in range(6):
+        for j in range(6):
+            scaled[i, j] = without_depth[i, j] * limit * limit
+            scaled[i, j] /= (radius if i < 3 else 1.0) * (radius if j < 3 else 1.0)
+    symmetric_eigen(scaled, values, vectors)
+    if not values[0] > 1.0 + 1e-9:
+        return False
+    if not length > radius * angle:
+        return True
+    # What is known of the turn, whatever the displacement.
+    block, coupled, kept = np.empty((3, 3)), np.zeros((3, 4)), np.zeros((3, 4))
+    for i in range(3):
+        for j in range(3):
+            block[i, j], coupled[i, j], kept[i, j] = information[3 + i, 3 + j], information[3 + i, j], information[i, j]
+    if not eliminate(block, coupled, kept):
+        return False
+    known = 0.0
+    for i in range(3):
+        for j in range(3):
+            known += turn[i] * kept[i, j] * turn[j]
+    return known > CERTAIN_TURN * (1.0 + 1e-6)
 
 
 def unseen(fit: Fit, radius: float) -> FloatArray:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from sylpose.results import Status
+from sylpose.two_frames.fit import no_fit
 from sylpose.two_frames.likelihoods import missing
 from sylpose.two_frames.mixtures import alike
 from sylpose.two_frames.moments_cost import Sums, moments_into
@@ -13,6 +15,7 @@ from sylpose.two_frames.search import search_all
 from sylpose.two_frames.solver import fit_terms
 from sylpose.two_frames.terms import Stack, TermData, guesses_of, stack_terms
 from sylpose.two_frames.valley import settle_across
+from sylpose.two_frames.verdict import judged
 
 __all__ = ["warm_up", "warm_up_reweighting", "warm_up_search", "warm_up_verdicts"]
 
@@ -40,6 +43,7 @@ def warm_up_reweighting() -> None:
 
 def warm_up_verdicts() -> None:
     """What decides what a fit is worth alone."""
+    judged(no_fit(_data(), Status.OK), 0.1)
     stack = _stack()
     alike(stack, nothing_yet(stack))
     missing(stack, nothing_yet(stack), np.full(len(stack.x), 0.5))
