@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.lens import TERMS, projected
 
 __all__ = ["Camera", "Rig", "nearest_point_to_rays"]
 
@@ -103,6 +104,18 @@ class Camera:
         """(3,) the camera's centre in the world, o = -Q'q."""
         return _read_only(self.camera_from_world.inv().translation)
 
+    @cached_property
+    def _shift(self) -> FloatArray:
+        """(3,) t of camera_from_world."""
+        return _read_only(self.camera_from_world.translation)
+
+    @cached_property
+    def _terms(self) -> FloatArray | None:
+        """(12,) coefficients as `numerics.lens` takes them; None for lenses that OpenCV alone knows."""
+        if self.lens == "fisheye" or self.distortion[TERMS:].any():
+            return None
+        return _read_only(np.pad(self.distortion[:TERMS], (0, max(TERMS - len(self.distortion), 0))))
+
     @property
     def direction(self) -> FloatArray:
         """(3,) unit vector, the optical axis in the world."""
@@ -124,7 +137,12 @@ class Camera:
 
     def project(self, points: ArrayLike) -> FloatArray:
         """World points (n, 3) -> pixels (n, 2), lens included; NaN for points not in front of the camera."""
-        points_c = np.asarray(points, dtype=float).reshape(-1, 3) @ self.rotation.T + self.camera_from_world.translation
+        points = np.ascontiguousarray(points, dtype=float).reshape(-1, 3)
+        if self._terms is not None:
+            out = np.empty((len(points), 2))
+            projected(points, self.rotation, self._shift, self.matrix, self._terms, out)
+            return out
+        points_c = points @ self.rotation.T + self._shift
         pixels = np.full((len(points_c), 2), np.nan)
         front = points_c[:, 2] > 1e-9
         if not front.any():

@@ -35,8 +35,16 @@ MAX_TRIES = 8
 RELINEARISED = 3
 
 
-def minimise(problem: Problem, state: State, max_rounds: int, on_round: Callable[[int], None] | None) -> Fit:
-    """Levenberg-Marquardt with re-weighting, from a state to where it settles."""
+def minimise(
+    problem: Problem,
+    state: State,
+    max_rounds: int,
+    on_round: Callable[[int], None] | None,
+    *,
+    roughly: bool = False,
+) -> Fit:
+    """Levenberg-Marquardt with re-weighting, from a state to where it settles; roughly, to where the weights would be held:
+    what is then left is a seventh of a standard deviation per frame."""
     e = problem.residuals(state)
     sigma = np.full(len(problem.focals), np.inf)
     leverage = np.full(len(e), min(1.0, 3.0 * len(state.points) / max(len(e), 1)))
@@ -68,7 +76,7 @@ def minimise(problem: Problem, state: State, max_rounds: int, on_round: Callable
         state = problem.with_motion(trial)
         if problem.timed:
             e = problem.residuals(state)
-        if settled and size < SETTLED:
+        if settled and size < (WEIGHTS_SETTLED * len(state.turns) if roughly else SETTLED):
             return Fit(state, Status.OK, rounds, weights, sigma, leverage)
         if settled and held is None and (size < WEIGHTS_SETTLED * len(state.turns) or rounds >= WEIGHTS_ROUNDS):
             held = problem.weights(e, sigma)

@@ -20,7 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.features.klt import evened, grey
 from sylpose.features.sift import detect, match_features
-from sylpose.numerics.arrays import BoolArray, FloatArray, Image
+from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.numerics.compiled import kernel
 from sylpose.rig import Camera
 
 __all__ = ["FEWEST", "Backdrop", "Steadied", "Turn", "alike", "begin", "turn_since"]
@@ -173,8 +174,8 @@ class Steadied:
         source = np.nan_to_num(source, nan=-1e4).reshape(height, width, 2)
         low, high = source.min(axis=2), (source - np.array([width - 1, height - 1])).max(axis=2)
         self.seen: BoolArray = (low >= 0) & (high <= 0)
-        kernel = np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), np.uint8)
-        self.seen = cv2.erode(self.seen.astype(np.uint8), kernel).astype(bool)
+        around = np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), np.uint8)
+        self.seen = cv2.erode(self.seen.astype(np.uint8), around).astype(bool)
         self._maps: Any = cv2.convertMaps(source, np.empty(0, np.float32), cv2.CV_16SC2)
 
     def __reduce__(self) -> tuple[type[Steadied], tuple[Camera, FloatArray]]:
@@ -221,14 +222,34 @@ def _in_image(places: FloatArray, step: int) -> FloatArray:
 
 def _patches(image: Image, pixels: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
     """(n, s) of norm one, and (n,) their contrast, grey levels: every `step`th pixel around whole pixels (n, 2)."""
-    columns, rows = pixels.astype(np.int64).T
-    offset = step * np.arange(-HALF, HALF + 1)
-    at = rows[:, None, None] + offset[:, None], columns[:, None, None] + offset
-    values = image[at] if image.ndim == 2 else image[at].mean(axis=3)
-    values = values.reshape(len(pixels), len(offset) ** 2).astype(float)
-    values -= values.mean(axis=1, keepdims=True)
-    contrast = np.sqrt((values**2).mean(axis=1))
-    return values / np.maximum(contrast * len(offset), 1e-9)[:, None], contrast
+    patches, contrast = np.empty((len(pixels), (2 * HALF + 1) ** 2)), np.empty(len(pixels))
+    colours = image.reshape(*image.shape[:2], -1)
+    _sample(colours, pixels.astype(np.int64), step, patches, contrast)
+    return patches, contrast
+
+
+@kernel
+def _sample(image: Image, pixels: IntArray, step: int, patches: FloatArray, contrast: FloatArray) -> None:
+    """Fills patches (n, s) and contrast (n,), see `_patches`, of an image (h, w, colours)."""
+    colours, samples = image.shape[2], patches.shape[1]
+    for n in range(len(pixels)):
+        patch, i, mean = patches[n], 0, 0.0
+        for v in range(-HALF, HALF + 1):
+            for u in range(-HALF, HALF + 1):
+                value = 0.0
+                for k in range(colours):
+                    value += image[pixels[n, 1] + step * v, pixels[n, 0] + step * u, k]
+                patch[i] = value / colours
+                mean += patch[i] / samples
+                i += 1
+        square = 0.0
+        for i in range(samples):
+            patch[i] -= mean
+            square += patch[i] * patch[i]
+        contrast[n] = np.sqrt(square / samples)
+        norm = max(np.sqrt(square), 1e-9)
+        for i in range(samples):
+            patch[i] /= norm
 
 
 def _looked_up(backdrop: Backdrop, small: Image, camera: Camera, limit: float) -> FloatArray:

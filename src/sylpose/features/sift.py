@@ -207,5 +207,8 @@ def seen_before(features: Features, earlier: Features, still_px: float = STILL_P
     if len(features) == 0 or len(earlier) == 0:
         return np.zeros(len(features), bool)
     gap, nearest = cKDTree(earlier.pixels).query(features.pixels, 3, distance_upper_bound=still_px)
-    similar = np.einsum("nd,nkd->nk", features.descriptors, earlier.descriptors[np.minimum(nearest, len(earlier) - 1)])
-    return np.asarray((np.isfinite(gap) & (similar > SAME_LOOK)).any(axis=1))
+    out, near = np.zeros(len(features), bool), np.isfinite(gap).any(axis=1)
+    theirs = earlier.descriptors[np.minimum(nearest[near], len(earlier) - 1)]
+    similar = np.einsum("nd,nkd->nk", features.descriptors[near], theirs)
+    out[near] = (np.isfinite(gap[near]) & (similar > SAME_LOOK)).any(axis=1)
+    return out

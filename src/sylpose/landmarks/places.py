@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.compiled import cholesky_solve, kernel, symmetric_eigen
 from sylpose.rig import Camera
 
 __all__ = ["Landmarks", "depth_prior", "learn_landmarks", "new_landmarks", "seen_again"]
@@ -74,13 +75,14 @@ class Landmarks:
     @property
     def depth_error(self) -> FloatArray:
         """(n, 3) the direction in which each place is least known, one standard deviation long; its sign is open."""
-        values, vectors = np.linalg.eigh(self.information)
-        return np.asarray(vectors[:, :, 0] / np.sqrt(np.maximum(values[:, :1], 1e-30)))
+        out = np.empty((len(self), 3))
+        _least_known(np.ascontiguousarray(self.information), out)
+        return out
 
     @property
     def depth_sd(self) -> FloatArray:
         """(n,) standard deviation in that direction."""
-        return np.asarray(1.0 / np.sqrt(np.maximum(np.linalg.eigvalsh(self.information)[:, 0], 1e-30)))
+        return np.linalg.norm(self.depth_error, axis=1)
 
     def subset(self, index: IntArray | BoolArray) -> Landmarks:
         """Those that a mask or an index array picks."""
@@ -94,11 +96,23 @@ class Landmarks:
         )
 
 
+@kernel
+def _least_known(information: FloatArray, out: FloatArray) -> None:
+    """out (n, 3) becomes `Landmarks.depth_error` of information (n, 3, 3)."""
+    matrix, values, vectors = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    for n in range(len(information)):
+        matrix[:] = information[n]
+        symmetric_eigen(matrix, values, vectors)
+        sd = 1.0 / np.sqrt(max(values[0], 1e-30))
+        for i in range(3):
+            out[n, i] = sd * vectors[i, 0]
+
+
 def rays(features: Features, camera: Camera, object_from_world: RigidTransform) -> tuple[FloatArray, FloatArray]:
     """Camera's centre (3,) and the features' unit directions (n, 3), object's frame."""
-    homogeneous = np.column_stack([features.normalized, np.ones(len(features))])
-    directions = object_from_world.rotation.apply(homogeneous @ camera.rotation).reshape(-1, 3)
-    directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    turn = camera.rotation @ object_from_world.as_matrix()[:3, :3].T
+    directions = features.normalized @ turn[:2] + turn[2]
+    directions /= np.sqrt(np.einsum("ni,ni->n", directions, directions))[:, None]
     return np.asarray(object_from_world.apply(camera.center)), directions
 
 
@@ -112,9 +126,10 @@ def new_landmarks(
     """Features seen for the first time: on their rays, at a distance (n,) from the camera give or take sd (n,)."""
     center, directions = rays(features, camera, object_from_world)
     mean = center + distance[:, None] * directions
-    along = directions[:, :, None] * directions[:, None, :]
     across = (camera.focal / (RAY_SIGMA_PX * distance)) ** 2
-    information = across[:, None, None] * (np.eye(3) - along) + along / (sd**2)[:, None, None]
+    along = directions[:, :, None] * directions[:, None, :]
+    information = (sd**-2 - across)[:, None, None] * along
+    information[:, [0, 1, 2], [0, 1, 2]] += across[:, None]
     n = len(mean)
     nothing = np.zeros(n, bool), features.pixels.copy(), np.full(n, -1, np.int64)
     return Landmarks(mean, information, np.ones(n, np.int64), *nothing)
@@ -123,13 +138,35 @@ def new_landmarks(
 def seen_again(known: Landmarks, features: Features, camera: Camera, object_from_world: RigidTransform) -> Landmarks:
     """Adds each feature's ray (n) to what is known of its landmark (n)."""
     center, directions = rays(features, camera, object_from_world)
-    distance = np.linalg.norm(known.mean - center, axis=1)
-    across = (camera.focal / (RAY_SIGMA_PX * np.maximum(distance, 1e-12))) ** 2
-    ray = across[:, None, None] * (np.eye(3) - directions[:, :, None] * directions[:, None, :])
-    information = known.information + ray
-    right = np.einsum("nij,nj->ni", known.information, known.mean) + ray @ center
-    mean = np.linalg.solve(information, right[..., None])[..., 0]
+    mean, information = known.mean.copy(), known.information.copy()
+    _add_rays(center, directions, camera.focal / RAY_SIGMA_PX, mean, information)
     return replace(known, mean=mean, information=information, seen=known.seen + 1)
+
+
+@kernel
+def _add_rays(
+    center: FloatArray, directions: FloatArray, weight: float, mean: FloatArray, information: FloatArray
+) -> None:
+    """Changes mean (n, 3) and information (n, 3, 3) by rays from a centre (3,) along directions (n, 3); the weight is in
+    standard deviations per radian."""
+    root, off = np.empty((3, 3)), np.empty(3)
+    for n in range(len(mean)):
+        far = 0.0
+        for i in range(3):
+            off[i] = center[i] - mean[n, i]
+            far += off[i] * off[i]
+        across = (weight / max(np.sqrt(far), 1e-12)) ** 2
+        along = off[0] * directions[n, 0] + off[1] * directions[n, 1] + off[2] * directions[n, 2]
+        for i in range(3):
+            # By how much the ray is off, times its information; and that added.
+            off[i] = across * (off[i] - along * directions[n, i])
+            for j in range(3):
+                information[n, i, j] += across * ((1.0 if i == j else 0.0) - directions[n, i] * directions[n, j])
+        root[:] = information[n]
+        if not cholesky_solve(root, off):
+            off[:] = np.nan
+        for i in range(3):
+            mean[n, i] += off[i]
 
 
 def depth_prior(
@@ -185,7 +222,9 @@ def learn_landmarks(
     Args: see `depth_prior`.
     """
     object_from_world = world_from_object.inv()
-    unknown = np.setdiff1d(np.arange(len(features)), index)
+    new_ones = np.ones(len(features), bool)
+    new_ones[index] = False
+    unknown = np.flatnonzero(new_ones)
     young = features.subset(unknown)
     distance, sd = depth_prior(young, camera, world_from_object, cloud, radius, bulge)
     new = new_landmarks(young, camera, object_from_world, distance, sd)

@@ -210,5 +210,6 @@ def _bundled(
         landmarks=np.concatenate([seen.place for seen in new]),
         times=times,
         max_rounds=ROUNDS,
+        roughly=True,
     )
     return None if bundled.status is Status.TOO_FEW_MATCHES else (bundled, names)
