@@ -24,12 +24,11 @@ __all__ = ["Minima", "log_likelihood", "minimize", "no_minima", "search", "searc
 
 # A term whose mean square exceeds the usual one by this factor, or this value, is trusted less while searching (choice).
 TRUST = 4.0
-# How far the log-likelihood of a start may be behind the best after its first iterations (choice; measured: of those that
-# came to another minimum within 60 of the best none was behind by more than half of that).
-HOPELESS = (600.0, 450.0, 300.0)
-# A start whose turn is that of a minimum, give or take this share of it, and that is no less likely by more than this, is on
-# the way to it (choice).
-SAME_SHARE, AS_LIKELY = 0.1, 60.0
+# Iterations after which a start is looked at, and how far its log-likelihood may then be behind the best. Earlier looks lose
+# true motions (measured: creeps in benchmarks/kinds.py, 48 degrees off) (choice).
+CHECKED, HOPELESS = 3, 300.0
+# A start that has come to a minimum, and is no less likely by more than this, is that minimum (choice).
+AS_LIKELY = 60.0
 # Steps of the plane part alone, at first and from a mirror image, and what the last may promise; the same of the whole
 # cost (choice).
 PLANE_STEPS, MIRROR_STEPS, PLANE_SETTLED = 12, 3, 1.0
@@ -276,7 +275,7 @@ def search(stack: Stack, sums: Sums, guesses: Guesses, minima: Minima) -> int:
         promise, damping, value = np.inf, DAMPING, -np.inf
         near = _known(candidate, minima)
         dropped = near >= 0 and log_likelihood(stack, sums, candidate) > minima.likelihoods[near] - AS_LIKELY
-        for k in range(len(HOPELESS)):
+        for k in range(CHECKED):
             if dropped or promise < SETTLED:
                 break
             done, promise, damping = minimize(stack, sums, True, False, 1, SETTLED, candidate, damping)
@@ -284,7 +283,7 @@ def search(stack: Stack, sums: Sums, guesses: Guesses, minima: Minima) -> int:
             value = log_likelihood(stack, sums, candidate)
             # On the way to a minimum that is known, or to nowhere: not worth the rest of the way.
             near = _known(candidate, minima)
-            dropped = value < minima.likelihoods[0] - HOPELESS[k]
+            dropped = k == CHECKED - 1 and value < minima.likelihoods[0] - HOPELESS
             dropped = dropped or (near >= 0 and value > minima.likelihoods[near] - AS_LIKELY)
         if dropped:
             continue
@@ -363,18 +362,11 @@ def _keep(candidate: Candidate, value: float, minima: Minima) -> None:
 
 @kernel
 def _known(candidate: Candidate, minima: Minima) -> int:
-    """The minimum in the list whose turn a candidate has, about; -1 where there is none."""
+    """Which minimum in the list a candidate is; -1 where none."""
     for k in range(minima.likelihoods.shape[0]):
-        if not minima.likelihoods[k] > -np.inf:
-            continue
-        known = minima.rotations[k]
-        if _same(known, minima.shifts[k], candidate.rotation, candidate.shift):
-            return k
-        gap, turn = 3.0, 3.0 - (known[0, 0] + known[1, 1] + known[2, 2])
-        for i in range(3):
-            for j in range(3):
-                gap -= known[i, j] * candidate.rotation[i, j]
-        if gap < SAME_SHARE**2 * turn:
+        if minima.likelihoods[k] > -np.inf and _same(
+            minima.rotations[k], minima.shifts[k], candidate.rotation, candidate.shift
+        ):
             return k
     return -1
 
