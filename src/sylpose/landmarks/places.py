@@ -82,7 +82,7 @@ class Landmarks:
     @property
     def depth_sd(self) -> FloatArray:
         """(n,) standard deviation in that direction."""
-        return np.linalg.norm(self.depth_error, axis=1)
+        return np.asarray(np.linalg.norm(self.depth_error, axis=1))
 
     def subset(self, index: IntArray | BoolArray) -> Landmarks:
         """Those that a mask or an index array picks."""

@@ -12,7 +12,7 @@ from sylpose.numerics.compiled import kernel
 
 __all__ = ["TERMS", "distorted", "projected"]
 
-# Coefficients in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4. The two of a tilted sensor are left to OpenCV (derived).
+# Coefficients, in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4. The two of a tilted sensor are left to it (derived).
 TERMS = 12
 
 

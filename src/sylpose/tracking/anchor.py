@@ -183,11 +183,13 @@ def follow(
     image, tracks = _grey(image), anchor.tracks
     if image is None or anchor.image is None or not anchor.alive.any():
         return Followed(anchor, np.empty(0, np.int64), Features.none(), np.empty((0, 2)), tracks, image)
-    landmarks = anchor.frame.landmarks
+    guess, alive = np.full((len(tracks), 2), np.nan), np.flatnonzero(anchor.alive)
+    landmarks, followed = anchor.frame.table.of(anchor.frame.numbers[alive]), tracks.followed[alive]
     expected, was = (camera.project(pose.apply(landmarks.mean)) for pose in (ahead, last))
     # Where a feature was is known better than where its landmark's image was; that tells only how it moves.
-    guess = np.where(tracks.followed[:, None], tracks.pixels + expected - was, expected)
-    guess[~(tracks.followed | (landmarks.depth_sd < KNOWN_DEPTH * radius)) | ~anchor.alive] = np.nan
+    guess[alive] = np.where(followed[:, None], tracks.pixels[alive] + expected - was, expected)
+    lost = np.flatnonzero(~followed)
+    guess[alive[lost[landmarks.subset(lost).depth_sd >= KNOWN_DEPTH * radius]]] = np.nan
     tracks = advance(tracks.keep(anchor.alive), anchor.image, image, guess)
     rows = np.flatnonzero(tracks.followed)
     if mask is not None:
