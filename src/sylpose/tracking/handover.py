@@ -65,7 +65,7 @@ def check_handover(handover: Handover, cameras: int) -> None:
     """
     joint, n = handover.joint, cameras
     anchor = () if joint.anchor is None else (joint.anchor.frame,)
-    frames = (*joint.keyframes, *joint.recent, *anchor, *(() if joint.last is None else (joint.last,)))
+    frames = (*joint.keyframes, *joint.recent, *anchor, *(f for f in (joint.last, joint.together) if f is not None))
     good = all(len(f.late) == len(f.viewpoints) == len(f.sees) == n and f.number >= 0 for f in frames)
     good &= all(len(w.times) == len(w.late) == n for w in handover.waiting) and handover.number >= 0
     good &= bool(joint.keyframes) == (joint.last is not None) and not (frames and joint.last is None)

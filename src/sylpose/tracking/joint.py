@@ -76,6 +76,7 @@ class Joint:
         nudges: of cameras, in order of time.
         refined: (6, 6) of (w, d), how well the last frame was known that was refined with others: the next ones are known no
             better, since they are found by the same landmarks. None before any was.
+        together: the frame after which frames were last refined together, as it was then; None before.
         told: by camera, what it has told of the frames that are known; nothing before the first refinement, and where it is
             forgotten, by all, it is told again.
     """
@@ -95,6 +96,7 @@ class Joint:
     only_still: bool = False
     nudges: tuple[Nudge, ...] = ()
     refined: FloatArray | None = None
+    together: SolvedFrame | None = None
     told: tuple[Seen, ...] = ()
 
     @property
@@ -213,6 +215,7 @@ class Joint:
             last=first,
             recent=(),
             refined=None,
+            together=None,
             told=(),
             anchor=Anchor(first, self.anchor.age) if kept and self.anchor is not None else None,
         )

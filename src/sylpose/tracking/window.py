@@ -33,8 +33,9 @@ MOST = 32
 LANDMARKS = 150
 # So many that have moved are enough to do without those that never did (choice).
 MANY = 20
-# After the first frames, one of so many (choice: refined at every keyframe too, poses are hardly better).
-OFTEN = 4
+# After the first frames, once the object has turned by this since (radians), or moved by this share of its radius: what it
+# shows of itself before that is little news; but no more often than one of `OFTEN` frames, and one of `SELDOM` (choice).
+NEWS_TURN, NEWS_SHIFT, OFTEN, SELDOM = np.radians(10.0), 0.3, 4, 12
 # Of fewer frames nothing is told. Of fewer than this the depths are not known well enough to be refined with the
 # poses (choice).
 FEWEST, LEAST = 2, 9
@@ -47,9 +48,14 @@ LANDMARK_NUMBERS = 2**32
 
 
 def is_due(joint: Joint) -> bool:
-    """Whether the frame just solved is to be refined with the others: the first ones are, then every `OFTEN`th."""
-    since = joint.base.number - joint.keyframes[0].number
-    return since <= LEAST or since % OFTEN == 0
+    """Whether the frame just solved is to be refined with the others: the first ones are, then those that show enough that
+    is new."""
+    last, before = joint.base, joint.together
+    if before is None or last.number - joint.keyframes[0].number <= LEAST:
+        return True
+    off, since = _moved(before, last.world_from_object), last.number - before.number
+    new = np.linalg.norm(off[:3]) > NEWS_TURN or np.linalg.norm(off[3:]) > NEWS_SHIFT * joint.object.radius
+    return since >= SELDOM or (since >= OFTEN and bool(new))
 
 
 def refined(team: Team, joint: Joint) -> Joint:
@@ -63,7 +69,7 @@ def refined(team: Team, joint: Joint) -> Joint:
     before = joint.told or (Seen.none(),) * len(team.rig)
     new = team.crew.ask(lambda c: _news(team, joint, c, numbers, before[c]), Seen.none())
     told = [seen.among(after) for seen, after in zip(before, new, strict=True)]
-    joint = replace(joint, told=tuple(seen.of(sorted(joint.known)) for seen in told))
+    joint = replace(joint, told=tuple(seen.of(sorted(joint.known)) for seen in told), together=joint.base)
     used = [seen.of(numbers, after.known) for seen, after in zip(told, new, strict=True)]
     found = _bundled(team, joint, frames, used, new)
     if found is None:
