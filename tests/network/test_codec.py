@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import msgspec
@@ -59,9 +59,8 @@ MODEL = ObjectModel(some(3), 0.3, some(9, 3), True, False)
 SOLVED = SolvedFrame(7, 0.25, some(3), POSE, some(6, 6), some(3, 3), np.array([True, False, True]), 2.5)
 VELOCITY = Velocity(some(6), some(6), 4, 0.03)
 NUDGE = Nudge(1, 5, some(3), 0.01)
-JOINT = Joint(
-    MODEL, SOLVED, (SOLVED, SOLVED), Anchor(SOLVED, 3, True), (SOLVED,), VELOCITY, nudges=(NUDGE,), together=SOLVED
-)
+JOINT = Joint(MODEL, SOLVED, (SOLVED, SOLVED), Anchor(SOLVED, 3, True), (SOLVED,), VELOCITY, nudges=(NUDGE,), renewal=6)
+JOINT = replace(JOINT, together=SOLVED)
 WAITED = Waited(3, 0.1, np.array([0.1, np.nan, 0.1]), 2, some(3), POSE)
 SAMPLES = [
     Says(some(27), 3.5, np.nan),

@@ -17,11 +17,12 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.klt import Tracks, advance, begin, grey
 from sylpose.features.sift import Features
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.numerics.later import Later
 from sylpose.rig import Camera
 from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame
 from sylpose.tracking.records import Following
 
-__all__ = ["Anchor", "Followed", "begin_anchor", "follow", "with_new"]
+__all__ = ["Anchor", "CameraAnchor", "Followed", "Renewal", "begin_anchor", "follow", "some_of", "suffices", "with_new"]
 
 
 # Features per camera that an anchor has in all, if there are so many (keyframes are anchors, and are searched by them), and
@@ -35,6 +36,9 @@ KNOWN_DEPTH = 0.1
 # What of an anchor's features must still be seen: these shares of them, in all and in each camera, and so many in all, while
 # the object has turned by less than this (radians) since (choice).
 ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 0.4, 0.25, 60, np.radians(20.0)
+# The next anchor is prepared where these shares, times this, are no longer seen, or the turn is more than that over
+# this (choice).
+SOON = 1.5
 # Frames until a camera in which no feature was followed is searched again (choice).
 ASK_AGAIN = 8
 # An anchor with few features, when more could be followed, lasts for so many frames: by then it shows which of these
@@ -109,21 +113,42 @@ class Followed:
         return Following(len(self), int(self.anchor.alive.sum()), looks, self.anchor.image is not None)
 
 
-def suffices(reports: Sequence[Following], anchor: Anchor, ahead: RigidTransform) -> bool:
+@dataclass(frozen=True, eq=False)
+class Renewal:
+    """One camera's side of the next anchor, while it is prepared (`tracking.renewal`).
+
+    Attributes:
+        number: of its frame; image: its, grey.
+        camera: as it stood for it.
+        known: how many features of it were followed; rows: (known,) which of the features of the anchor before they are.
+        found: the new ones, and their matches (m, 2) with earlier frames, by number.
+    """
+
+    number: int
+    image: Image
+    camera: Camera
+    known: int
+    rows: IntArray
+    found: Later[tuple[Features, dict[int, IntArray]]]
+
+
+def suffices(reports: Sequence[Following], anchor: Anchor, ahead: RigidTransform, margin: float = 1.0) -> bool:
     """Whether enough of an anchor's features are still seen to do without new ones.
 
     Args:
         ahead: world_from_object as predicted for the frame.
+        margin: by how much they have to be more than enough.
     """
     turn = (ahead.rotation * anchor.frame.world_from_object.rotation.inv()).magnitude()
     found, alive = np.array([r.found for r in reports]), np.array([r.alive for r in reports])
-    enough = found.sum() >= max(ANCHOR_SHARE * alive.sum(), MIN_FOLLOWED) and (found >= CAMERA_SHARE * alive).all()
+    shares = margin * np.array([ANCHOR_SHARE, CAMERA_SHARE])
+    enough = found.sum() >= max(shares[0] * alive.sum(), MIN_FOLLOWED) and (found >= shares[1] * alive).all()
     for r in reports:
         # A camera that gives images again takes part at once; one that saw nothing is asked again after a while.
         enough &= not (r.looks and not r.follows)
         enough &= not (r.looks and r.alive == 0 and anchor.age >= ASK_AGAIN)
     lasts = not (anchor.few and anchor.age >= FEW_LAST)
-    return bool(enough and lasts and turn < ANCHOR_TURN)
+    return bool(enough and lasts and turn < ANCHOR_TURN / margin)
 
 
 def begin_anchor(number: int, current: CameraFrame, image: Image | None, before: Followed | None) -> CameraAnchor:
@@ -138,14 +163,14 @@ def begin_anchor(number: int, current: CameraFrame, image: Image | None, before:
     # Without an image nothing can be begun.
     new = begin(np.zeros((1, 1), np.uint8) if image is None else image, current.features.pixels[known:])
     tracks = new if before is None else before.tracks.subset(before.rows).join(new)
-    return CameraAnchor(number, current, tracks, _some(tracks.followed & ~current.background, known), image)
+    return CameraAnchor(number, current, tracks, some_of(tracks.followed & ~current.background, known), image)
 
 
 def _grey(image: Image | None) -> Image | None:
     return None if image is None else grey(image)
 
 
-def _some(followed: BoolArray, known: int) -> BoolArray:
+def some_of(followed: BoolArray, known: int) -> BoolArray:
     """(n,) the features that will be followed: the first `known`, and of the others some from all over the list."""
     new = known + np.flatnonzero(followed[known:])
     wanted = max(FOLLOWED - known, MIN_NEW)

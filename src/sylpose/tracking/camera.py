@@ -19,7 +19,7 @@ from sylpose.landmarks.table import LandmarkTable
 from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.rig import Camera
-from sylpose.tracking.anchor import CameraAnchor, Followed, begin_anchor, follow, gone_on
+from sylpose.tracking.anchor import CameraAnchor, Followed, Renewal, begin_anchor, follow, gone_on
 from sylpose.tracking.frame import (
     CameraFrame,
     Pair,
@@ -141,7 +141,7 @@ class CameraPart:
         camera: its calibration.
         table: its landmarks.
         frames: what it has of solved frames, by number: the keyframes, the last one and the anchor.
-        anchor: its side of the frame whose features are followed, if any.
+        anchor: its side of the frame whose features are followed, if any; renewal: of the next one, while it is prepared.
         surroundings: the first frame's features outside the object's region, and what was found to be background since:
             what is later seen at the same place is background.
         noise_px: of its keypoints, as the frames so far have it.
@@ -153,6 +153,7 @@ class CameraPart:
         self.index, self.camera = index, camera
         self.frames: dict[int, CameraFrame] = {}
         self.anchor: CameraAnchor | None = None
+        self.renewal: Renewal | None = None
         self.surroundings = Features.none()
         self.table = LandmarkTable()
         self.noise_px = 0.0
@@ -358,10 +359,11 @@ class CameraPart:
         anchor, watch = self.anchor, self.watch
         of_anchor = () if anchor is None else (anchor.tracks, anchor.image, anchor.frame.features)
         features = (self.surroundings, *(frame.features for frame in self.frames.values()))
-        return [self.camera, self.view, watch.backdrop, watch.steady, *of_anchor, *features]
+        return [self.camera, self.view, self.renewal, watch.backdrop, watch.steady, *of_anchor, *features]
 
     def forget(self) -> None:
         """Everything: the object is looked for anew."""
         self.frames, self.anchor, self.surroundings, self.view = {}, None, Features.none(), (None, None)
+        self.renewal = None
         self.noise_px = 0.0
         self.table = LandmarkTable()

@@ -19,7 +19,7 @@ from sylpose.numerics.matrices import covariance_of
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.anchor import FEATURES as ANCHOR_FEATURES
-from sylpose.tracking.anchor import Followed, suffices, with_new
+from sylpose.tracking.anchor import SOON, Followed, suffices, with_new
 from sylpose.tracking.camera import have_moved
 from sylpose.tracking.crew import Crew
 from sylpose.tracking.frame import CameraFrame, Frame, Pair, inliers_of, still, without_background
@@ -106,16 +106,17 @@ class Found:
 
 def followed_from_anchor(
     team: Team, joint: Joint, frames: FrameSet, ahead: RigidTransform, regions: Sequence[Region]
-) -> tuple[list[Followed], int, bool]:
-    """By camera, each its own: the anchor's features in the next images; and of all cameras, how many they are, and whether
-    they suffice to do without others."""
+) -> tuple[list[Followed], int, bool, bool]:
+    """By camera, each its own: the anchor's features in the next images; and of all cameras, how many they are, whether they
+    suffice to do without others, and whether they soon may not."""
     assert joint.anchor is not None
     last, radius = joint.base.world_from_object, joint.object.radius
     followed = team.crew.each(
         lambda c: team.parts[c].follow(last, ahead, frames.images[c], frames.masks[c], radius), long=True
     )
     reports = team.crew.ask(lambda c: followed[c].report(regions[c]), Following.none())
-    return followed, sum(report.found for report in reports), suffices(reports, joint.anchor, ahead)
+    enough, plenty = (suffices(reports, joint.anchor, ahead, margin) for margin in (1.0, SOON))
+    return followed, sum(report.found for report in reports), enough, not plenty
 
 
 def is_fast(joint: Joint, ahead: RigidTransform) -> bool:

@@ -173,10 +173,11 @@ def base_from_reference(pair: Pair, base: SolvedFrame, known: Mapping[int, Solve
     return base.world_from_object * known[pair.reference].world_from_object.inv()
 
 
-def match_pair(reference: int, earlier: CameraFrame, current: CameraFrame) -> Pair:
-    """Matches of one camera, without the earlier frame's known background (which is passed on to the current frame)."""
+def match_pair(reference: int, earlier: CameraFrame, current: CameraFrame, indices: IntArray | None = None) -> Pair:
+    """Matches of one camera, without the earlier frame's known background (which is passed on to the current frame); indices
+    (m, 2) where they are known."""
     a, b = earlier.features, current.features
-    indices = match_features(a, b)
+    indices = match_features(a, b) if indices is None else indices
     known = earlier.background[indices[:, 0]]
     stands = np.linalg.norm(a.pixels[indices[:, 0]] - b.pixels[indices[:, 1]], axis=1) < current.still_px
     current.background[indices[known & stands, 1]] = True

@@ -63,6 +63,7 @@ class Joint:
         last: the last solved frame; None before the first.
         keyframes: solved frames from all sides of the object, in order of time.
         anchor: the frame whose features are followed, if any.
+        renewal: number of the frame that will be the next anchor, while that is prepared (`tracking.renewal`).
         recent: the last few solved frames, in order of time.
         velocity: how it moves.
         missed: frames since the last solved one.
@@ -97,6 +98,7 @@ class Joint:
     nudges: tuple[Nudge, ...] = ()
     refined: FloatArray | None = None
     together: SolvedFrame | None = None
+    renewal: int | None = None
     told: tuple[Seen, ...] = ()
 
     @property
@@ -142,6 +144,7 @@ class Joint:
             keyframes=with_keyframe(self.keyframes, solved) if anew else self.keyframes,
             recent=(*self.recent, solved)[-RECENT:],
             anchor=None if anew or self.anchor is None else replace(self.anchor, age=self.anchor.age + 1),
+            renewal=None if anew else self.renewal,
             velocity=velocity,
             missed=0,
             seen_again=0,
@@ -180,7 +183,7 @@ class Joint:
         sd = np.sqrt(np.diag(covariance))
         certain = sd[:3].max() < COASTING_TURN and sd[3:].max() < COASTING_SHIFT * self.object.radius
         lost = self.lost or missed > MAX_COASTING or not certain
-        return replace(self, missed=missed, lost=lost, only_still=False), covariance
+        return replace(self, missed=missed, lost=lost, only_still=False, renewal=None), covariance
 
     def with_length(self, solved: SolvedFrame) -> SolvedFrame:
         """A solved frame whose covariance knows that the length of its path is not told."""
@@ -216,6 +219,7 @@ class Joint:
             recent=(),
             refined=None,
             together=None,
+            renewal=None,
             told=(),
             anchor=Anchor(first, self.anchor.age) if kept and self.anchor is not None else None,
         )

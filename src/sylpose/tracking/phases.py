@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.results import FrameStatus
+from sylpose.tracking import renewal
 from sylpose.tracking.anchor import ANCHOR_SHARE, Anchor, Followed
 from sylpose.tracking.find import (
     Found,
@@ -90,11 +91,12 @@ def next_frame(
 
 def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joint, TrackedFrame]:
     """The object was found in the frame before: it is where it should be, else anywhere."""
+    joint = renewal.joined(team, joint, number)
     ahead = joint.predicted(frames.time)
     regions = regions_of(team, joint, ahead)
-    followed, found = None, None
+    followed, found, soon = None, None, False
     if joint.anchor is not None:
-        followed, total, enough = followed_from_anchor(team, joint, frames, ahead, regions)
+        followed, total, enough, soon = followed_from_anchor(team, joint, frames, ahead, regions)
         # The first motion is not known yet: what is followed with ease may be what stands still.
         if enough and joint.velocity.frames and not asks_first(joint, number):
             frame = team.frame(number, frames, features_of(team, followed))
@@ -111,7 +113,12 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
         found = better if better is not None or not begins else found
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
-    return not_found(joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
+    if found is None:
+        return not_found(joint, frames, ahead, regions)
+    joint, tracked = accepted(team, joint, frames, found)
+    if soon and not found.anew and renewal.wants(joint):
+        joint = renewal.begun(team, joint, frames, found)
+    return joint, tracked
 
 
 def recover(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joint, TrackedFrame]:
