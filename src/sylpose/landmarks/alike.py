@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sylpose.landmarks.alignment import Aligned
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.rigid import rotvec
 
 __all__ = ["chosen", "doubted"]
 
@@ -50,8 +50,7 @@ def doubted(information: FloatArray, off: FloatArray) -> FloatArray:
 
 def _off(one: Aligned, rotation: FloatArray, shift: FloatArray) -> FloatArray:
     """(6,) (w, d) from an alignment to a pose."""
-    turn = Rotation.from_matrix(rotation @ one.rotation.T).as_rotvec()
-    return np.concatenate([turn, shift - one.shift])
+    return np.concatenate([rotvec(rotation @ one.rotation.T), shift - one.shift])
 
 
 def _square(off: FloatArray, information: FloatArray) -> float:

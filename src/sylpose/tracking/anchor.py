@@ -18,6 +18,7 @@ from sylpose.features.klt import Tracks, advance, begin, grey
 from sylpose.features.sift import Features
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.numerics.later import Later
+from sylpose.numerics.rigid import turn_between
 from sylpose.rig import Camera
 from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame
 from sylpose.tracking.records import Following
@@ -139,7 +140,7 @@ def suffices(reports: Sequence[Following], anchor: Anchor, ahead: RigidTransform
         ahead: world_from_object as predicted for the frame.
         margin: by how much they have to be more than enough.
     """
-    turn = (ahead.rotation * anchor.frame.world_from_object.rotation.inv()).magnitude()
+    turn = np.linalg.norm(turn_between(anchor.frame.world_from_object, ahead))
     found, alive = np.array([r.found for r in reports]), np.array([r.alive for r in reports])
     shares = margin * np.array([ANCHOR_SHARE, CAMERA_SHARE])
     enough = found.sum() >= max(shares[0] * alive.sum(), MIN_FOLLOWED) and (found >= shares[1] * alive).all()

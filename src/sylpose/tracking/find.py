@@ -15,7 +15,9 @@ from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.landmarks.places import Landmarks
 from sylpose.landmarks.table import LandmarkTable
+from sylpose.numerics.arrays import IntArray
 from sylpose.numerics.matrices import covariance_of
+from sylpose.numerics.rigid import turn_between, turn_of
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.anchor import FEATURES as ANCHOR_FEATURES
@@ -122,7 +124,7 @@ def followed_from_anchor(
 def is_fast(joint: Joint, ahead: RigidTransform) -> bool:
     """Whether the next frame shows another side of the object than the last one (at world_from_object as predicted), or may
     do so for all that is known."""
-    turn = (ahead.rotation * joint.base.world_from_object.rotation.inv()).magnitude()
+    turn = np.linalg.norm(turn_between(joint.base.world_from_object, ahead))
     return bool(not joint.velocity.frames or joint.missed > 0 or turn > FAST_TURN)
 
 
@@ -213,7 +215,7 @@ def solved_from(
     for _ in range(SPEED_ROUNDS):
         rig = velocity.rig_seen_at_once(team.rig, frame.late, center, speed, elapsed)
         motion = guess * base.world_from_object.inv()
-        hypothesis = (motion.rotation.as_matrix(), motion.apply(center) - center)
+        hypothesis = (turn_of(motion), motion.apply(center) - center)
         radius = joint.object.radius
         problem = Problem(rig, base, joint.known, radius, hypothesis, team.seed, frame.cameras, pairs)
         solution = team.solve(crew, problem)
@@ -273,22 +275,35 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
     """What a camera tells the others of a solution."""
     inliers = inliers_of(pairs, [w for w, _ in agreement])
     squares = np.concatenate([np.empty(0), *(r[w > 0] ** 2 for w, r in agreement)])
-    indices = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in inliers)])
-    before = [pair.indices[pair.landmarks.moved, 1] for pair in pairs]
-    known = Landmarks.concatenate([pair.landmarks for pair in inliers])
+    indices = _features_of([pair.indices for pair in inliers])
+    tried, landmarks = _features_of([pair.indices for pair in pairs]), [pair.landmarks for pair in pairs]
+    agrees = np.concatenate([np.empty(0, bool), *(w > 0 for w, _ in agreement)])
+    every = Landmarks.concatenate(landmarks)
+    known = every.subset(agrees)
+    moves = np.concatenate([np.empty(0, bool), *(~still(pair) for pair in inliers)])
     return Agreed(
         matches=len(indices),
-        tried=sum(map(len, pairs)),
+        tried=len(tried),
         references=tuple(pair.reference for pair in pairs),
         weights=tuple(float(w.sum()) for w, _ in agreement),
-        ages=Ages.of(np.concatenate([np.empty(0), *(pair.seen for pair in inliers)])),
-        features=len(np.unique(indices)),
-        moved=len(np.unique(indices[have_moved(inliers, known, agreement, current.still_px)])),
-        tried_moved=len(np.unique(np.concatenate([np.empty(0, np.int64), *before]))),
+        ages=Ages.of(known.seen.astype(float)),
+        features=_different(indices),
+        moved=_different(indices[have_moved(inliers, known, agreement, current.still_px)]),
+        tried_moved=_different(tried[every.moved]),
         residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
         sees=len(current.features) > 0,
-        moving=len(np.unique(np.concatenate([np.empty(0, np.int64), *(p.indices[~still(p), 1] for p in inliers)]))),
+        moving=_different(indices[moves]),
     )
+
+
+def _features_of(indices: Sequence[IntArray]) -> IntArray:
+    """(n,) features of the current frame, of matches (m, 2) each."""
+    return np.concatenate([np.empty(0, np.int64), *(index[:, 1] for index in indices)])
+
+
+def _different(features: IntArray) -> int:
+    """How many different ones there are."""
+    return int(np.count_nonzero(np.bincount(features)))
 
 
 def recognised_anywhere(team: Team, joint: Joint, frame: Frame) -> RigidTransform | None:

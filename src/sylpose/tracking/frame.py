@@ -233,8 +233,11 @@ def standing(
         before, now: world_from_object.
         radius: of the object.
     """
-    moved = _moved_px(pair, camera, before, now, radius)
-    return still(pair, current.still_px) & (moved > BACKGROUND_PX - STILL_PX + current.still_px)
+    stands = still(pair, current.still_px)
+    at = np.flatnonzero(stands)
+    moved = _moved_px(pair.pixels_i[at], pair.normalized_i[at], camera, before, now, radius)
+    stands[at] = moved > BACKGROUND_PX - STILL_PX + current.still_px
+    return stands
 
 
 def without_background(
@@ -250,8 +253,9 @@ def without_background(
     background = (shift < FAINTLY_STILL_PX) & ~pair.landmarks.moved
     if not background.any():
         return pair
-    moved = _moved_px(pair, camera, before, ahead, radius)
-    background &= (moved > BACKGROUND_PX) & (shift < np.maximum(STILL_SHARE * moved, STILL_PX))
+    at = np.flatnonzero(background)
+    moved = _moved_px(pair.pixels_i[at], pair.normalized_i[at], camera, before, ahead, radius)
+    background[at] = (moved > BACKGROUND_PX) & (shift[at] < np.maximum(STILL_SHARE * moved, STILL_PX))
     learn_background(pair, current, background)
     return pair.subset(~background)
 
@@ -268,15 +272,23 @@ def learn_only(pairs: Sequence[Pair], current: CameraFrame) -> None:
     current.background[np.setdiff1d(np.arange(len(current.features)), own)] = True
 
 
-def _moved_px(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTransform, radius: float) -> FloatArray:
-    """(n,) by how much each match would move at least if it were on the object, pixels, at any depth of it."""
+def _moved_px(
+    pixels: FloatArray,
+    normalized: FloatArray,
+    camera: Camera,
+    before: RigidTransform,
+    now: RigidTransform,
+    radius: float,
+) -> FloatArray:
+    """(n,) by how many pixels what was seen at pixels (n, 2), normalised (n, 2), would move at least if it were on the
+    object, at any depth of it."""
     middle = camera.camera_from_world.apply(before.translation)[2]
-    motion = now * before.inv()
-    moved = np.full(len(pair), np.inf)
+    moves = now.as_matrix() @ before.inv().as_matrix() @ camera.camera_from_world.inv().as_matrix()
+    along = np.column_stack([normalized, np.ones(len(normalized))]) @ moves[:3, :3].T
+    moved = np.full(len(pixels), np.inf)
     for depth in (middle - radius, middle, middle + radius):
-        points = max(depth, 0.1 * middle) * np.column_stack([pair.normalized_i, np.ones(len(pair))])
-        expected = camera.project(motion.apply(camera.camera_from_world.inv().apply(points)))
-        moved = np.fmin(moved, np.linalg.norm(expected - pair.pixels_i, axis=1))
+        expected = camera.project(max(depth, 0.1 * middle) * along + moves[:3, 3])
+        moved = np.fmin(moved, np.linalg.norm(expected - pixels, axis=1))
     return moved
 
 

@@ -8,11 +8,11 @@ from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.spatial.transform import Rotation
 
 from sylpose.landmarks.alignment import FIRST_PX, Sights
 from sylpose.landmarks.alike import chosen, doubted
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.rigid import rotvec
 from sylpose.paper.known_depth import solve_2d3d
 from sylpose.results import Status
 from sylpose.rig import Rig
@@ -260,7 +260,7 @@ def _depth_sd(ages: Sequence[Ages]) -> float:
 
 def _angle(rotation: FloatArray) -> float:
     """Radians that a rotation (3, 3) turns by."""
-    return float(Rotation.from_matrix(rotation).magnitude())
+    return float(np.linalg.norm(rotvec(rotation)))
 
 
 def _others_move(ages: Sequence[Ages]) -> bool:

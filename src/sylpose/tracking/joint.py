@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import covariance_of
+from sylpose.numerics.rigid import turn_of
 from sylpose.results import UNCERTAIN_TURN
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.frame import SolvedFrame
@@ -253,7 +254,7 @@ def covariance_with_references(
     total, inherited = max(sum(shares.values()), 1e-12), np.zeros((6, 6))
     for number, weight in shares.items():
         # An error of the reference's pose, in world axes, turns with the object.
-        turn = (now.rotation * known[number].world_from_object.rotation.inv()).as_matrix()
+        turn = turn_of(now) @ turn_of(known[number].world_from_object).T
         both = np.kron(np.eye(2), turn)
         inherited += weight / total * (both @ known[number].covariance @ both.T)
     # What cannot be observed is bounded: no motion by half a turn or by the object's size is matched.

@@ -11,6 +11,7 @@ from sylpose.landmarks.alignment import Sights
 from sylpose.landmarks.camera_terms import CUTOFF, VOTE_PX
 from sylpose.landmarks.places import Landmarks
 from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.rigid import turn_of
 from sylpose.rig import Camera
 from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, away
 from sylpose.tracking.records import Ages, Chance
@@ -36,9 +37,8 @@ def sights_of(
     """
     known = Landmarks.concatenate([pair.landmarks for pair in pairs])
     index = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in pairs)])
-    turn, center = base.world_from_object.rotation, base.world_from_object.translation
-    points = turn.apply(known.mean).reshape(-1, 3)
-    error = turn.apply(known.depth_error).reshape(-1, 3)
+    turn, center = turn_of(base.world_from_object), base.world_from_object.translation
+    points, error = known.mean @ turn.T, known.depth_error @ turn.T
     outwards = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
     # In how many frames each feature was seen, by the best known of its landmarks.
     seen = np.zeros(int(index.max(initial=-1)) + 1)

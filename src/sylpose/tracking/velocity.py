@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.compiled import turn_by
+from sylpose.numerics.rigid import rotvec, turn_of
 from sylpose.numerics.robust import chi_squared_bound
 from sylpose.rig import Rig
 
@@ -55,7 +57,7 @@ class Velocity:
         # The first motion is a change by itself.
         if self.frames:
             interval = self.interval + (elapsed - self.interval) / MEMORY
-            change = self._surprise(motion.rotation, motion.apply(center) - center, center, elapsed) / elapsed
+            change = self._surprise(turn_of(motion), motion.apply(center) - center, center, elapsed) / elapsed
             unsteady = unsteady + (change**2 - unsteady) / min(self.frames, MEMORY)
         return Velocity(motion.as_exp_coords() / elapsed, unsteady, self.frames + 1, interval)
 
@@ -88,7 +90,7 @@ class Velocity:
         # What stood all the time, by all that is known, tells nothing of how it moves.
         if self.frames < STEADY_FRAMES or not self.unsteady.any():
             return rotation, shift, information
-        error = self._surprise(Rotation.from_matrix(rotation), shift, center, elapsed)
+        error = self._surprise(rotation, shift, center, elapsed)
         sd = np.maximum(SPREAD * elapsed * np.sqrt(_by_parts(self.unsteady)), 1e-12)
         prediction, both = np.diag(sd**-2), information + np.diag(sd**-2)
         # error' (covariance of the fit + diag(sd²))^-1 error, without inverting what the matches may not have seen.
@@ -96,8 +98,9 @@ class Velocity:
         if weighted @ error - weighted @ np.linalg.solve(both, weighted) > SURPRISING:
             return rotation, shift, information
         step = -np.linalg.solve(both, prediction @ error)
-        corrected = (Rotation.from_rotvec(step[:3]) * Rotation.from_matrix(rotation)).as_matrix()
-        return np.asarray(corrected), shift + step[3:], both
+        corrected = np.empty((3, 3))
+        turn_by(np.asarray(step[:3], float), rotation, corrected)
+        return corrected, shift + step[3:], both
 
     def rig_seen_at_once(
         self, rig: Rig, late: FloatArray, center: FloatArray, motion: RigidTransform, elapsed: float
@@ -125,10 +128,10 @@ class Velocity:
         ]
         return Rig(cameras, rig.unit)
 
-    def _surprise(self, rotation: Rotation, shift: FloatArray, center: FloatArray, elapsed: float) -> FloatArray:
+    def _surprise(self, rotation: FloatArray, shift: FloatArray, center: FloatArray, elapsed: float) -> FloatArray:
         """(6,) of (w, d): by how much a motion differs from what constant velocity gives."""
         ahead = self.motion(elapsed)
-        turn = (rotation * ahead.rotation.inv()).as_rotvec()
+        turn = rotvec(rotation @ turn_of(ahead).T)
         return np.concatenate([turn, shift - (ahead.apply(center) - center)])
 
 

@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.adjustment.bundle import Bundled, Observations
 from sylpose.adjustment.sized import SMALL_TURN, bundle_sized, length_is_open
 from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.rigid import turn_between
 from sylpose.results import Status
 from sylpose.tracking.far_frames import another_path
 from sylpose.tracking.frame import SolvedFrame
@@ -125,8 +126,7 @@ def _tells_surface(bundled: Bundled, names: IntArray) -> bool:
 def _moved(last: SolvedFrame, after: RigidTransform) -> FloatArray:
     """(6,) (w, d) by what a frame's pose is refined."""
     before = last.world_from_object
-    turn = (after.rotation * before.rotation.inv()).as_rotvec()
-    return np.concatenate([turn, after.translation - before.translation])
+    return np.concatenate([turn_between(before, after), after.translation - before.translation])
 
 
 def at_least(a: FloatArray, b: FloatArray) -> FloatArray:
