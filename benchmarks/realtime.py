@@ -4,10 +4,10 @@
 
 Renders a body that turns by so many degrees a frame, tracks it image by image as a live session does, and after each frame
 set lets OpenCV alone do its part on the same images, by as many threads: `calcOpticalFlowPyrLK` with its own defaults
-(21 x 21, three levels) of as many points as the tracker had, from images that are grey already to the next one, or SIFT with
-its defaults. Prints frame sets per second, the median and the 99th percentile of a frame set's time, once the first twelve are
-over (they are refined together at every step), and both as ratios to the bare ones; by the wall and by the processor's clock.
-With `--jobs`, so many processes that do nothing but compute run beside it.
+(21 x 21, three levels) of as many points as the tracker had, in images that it makes grey, or SIFT with its defaults.
+Prints frame sets per second, the median and the 99th percentile of a frame set's time, once the first twelve are over (they
+are refined together at every step), and both as ratios to the bare ones; by the wall and by the processor's clock. With
+`--jobs`, so many processes that do nothing but compute run beside it.
 """
 
 from __future__ import annotations

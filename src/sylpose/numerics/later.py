@@ -1,10 +1,11 @@
-"""A value that a thread of its own computes meanwhile."""
+"""A value that is computed meanwhile, beside what waits for nothing."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
-from concurrent.futures import Future
-from threading import Thread
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
 from typing import Any, Generic, TypeVar
 
 __all__ = ["Later"]
@@ -13,21 +14,15 @@ T = TypeVar("T")
 
 
 class Later(Generic[T]):
-    """What a function returns for some arguments, which nobody may change any more; it begins at once.
+    """What a function returns for some arguments, which nobody may change any more; computed in the order of asking, by half
+    of the processor's cores at most.
 
     Saved and loaded again, it begins anew, and comes to the same.
     """
 
     def __init__(self, function: Callable[..., T], *arguments: Any) -> None:
         self._function, self._arguments = function, arguments
-        self._future: Future[T] = Future()
-        Thread(target=self._run).start()
-
-    def _run(self) -> None:
-        try:
-            self._future.set_result(self._function(*self._arguments))
-        except BaseException as error:  # whoever asks for the value is told
-            self._future.set_exception(error)
+        self._future: Future[T] = _threads(os.getpid()).submit(function, *arguments)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Later, (self._function, *self._arguments)
@@ -35,3 +30,9 @@ class Later(Generic[T]):
     def value(self) -> T:
         """Waits for it. Raises what the function raised."""
         return self._future.result()
+
+
+@cache
+def _threads(process: int) -> ThreadPoolExecutor:  # noqa: ARG001
+    """Of this process: one that was forked has none of another's."""
+    return ThreadPoolExecutor(max(1, (os.cpu_count() or 1) // 2))
