@@ -63,7 +63,9 @@ class LandmarkTable:
 
     def place(self, numbers: IntArray, places: FloatArray) -> None:
         """Puts the landmarks with some numbers (n,) at places (n, 3), as well known as before; the others go along with the
-        nearest of them, or they would contradict them."""
+        nearest of them, or they would contradict them. Those that are forgotten by now stay so."""
+        there = np.isin(numbers, self._rows.id[: self._used])
+        numbers, places = numbers[there], places[there]
         at, means = self._at(numbers), self._rows.mean[: self._used]
         others = np.setdiff1d(np.flatnonzero(np.isfinite(means).all(axis=1)), at)
         moved = places - means[at]

@@ -117,7 +117,9 @@ def followed_from_anchor(
         lambda c: team.parts[c].follow(last, ahead, frames.images[c], frames.masks[c], radius), long=True
     )
     reports = team.crew.ask(lambda c: followed[c].report(regions[c]), Following.none())
-    enough, plenty = (suffices(reports, joint.anchor, ahead, margin) for margin in (1.0, SOON))
+    # While the next anchor is prepared, less is enough.
+    least = 1.0 if joint.renewal is None else 1.0 / SOON
+    enough, plenty = (suffices(reports, joint.anchor, ahead, margin) for margin in (least, SOON))
     return followed, sum(report.found for report in reports), enough, not plenty
 
 

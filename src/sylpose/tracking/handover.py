@@ -53,8 +53,8 @@ def handed_over(joint: Joint, waiting: Sequence[Waiting], number: int) -> Handov
         times = np.array([np.nan if t is None else t for t in w.frames.times])
         return Waited(w.frames.index, w.frames.time, times, w.frame.number, w.frame.late, w.motion)
 
-    # What was told of sights is told again.
-    return Handover(replace(joint, told=()), tuple(waited(w) for w in waiting), number)
+    # What was told of sights is told again, and what is in the making is made anew.
+    return Handover(replace(joint, told=(), renewal=None, pending=None), tuple(waited(w) for w in waiting), number)
 
 
 def check_handover(handover: Handover, cameras: int) -> None:

@@ -11,7 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.adjustment.bundle import Bundled
+from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.later import Later
 from sylpose.numerics.matrices import covariance_of
 from sylpose.numerics.rigid import turn_of
 from sylpose.results import UNCERTAIN_TURN
@@ -22,7 +24,7 @@ from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.records import Agreed, Seen
 from sylpose.tracking.velocity import Velocity
 
-__all__ = ["MIN_MOVED", "Joint", "Nudge", "covariance_with_references"]
+__all__ = ["MIN_MOVED", "Joint", "Nudge", "Refinement", "covariance_with_references"]
 
 # An object that is not found is taken to go on as it did: for so many frames, and until its turn (radians) or its place
 # (object's radii) is less certain than this (choice).
@@ -56,6 +58,24 @@ class Nudge:
 
 
 @dataclass(frozen=True, eq=False)
+class Refinement:
+    """Frames that are being refined together (`tracking.window`).
+
+    Attributes:
+        number: of the last of them.
+        frames: as they were when that began, in order.
+        names: (m,) whose landmarks are refined with them; known: by camera, their numbers.
+        found: what comes of it.
+    """
+
+    number: int
+    frames: tuple[SolvedFrame, ...]
+    names: IntArray
+    known: tuple[IntArray, ...]
+    found: Later[Bundled]
+
+
+@dataclass(frozen=True, eq=False)
 class Joint:
     """The joint part's state between two frames.
 
@@ -79,6 +99,7 @@ class Joint:
         refined: (6, 6) of (w, d), how well the last frame was known that was refined with others: the next ones are known no
             better, since they are found by the same landmarks. None before any was.
         together: the frame after which frames were last refined together, as it was then; None before.
+        pending: frames that are being refined together.
         told: by camera, what it has told of the frames that are known; nothing before the first refinement, and where it is
             forgotten, by all, it is told again.
     """
@@ -100,6 +121,7 @@ class Joint:
     refined: FloatArray | None = None
     together: SolvedFrame | None = None
     renewal: int | None = None
+    pending: Refinement | None = None
     told: tuple[Seen, ...] = ()
 
     @property
@@ -221,6 +243,7 @@ class Joint:
             refined=None,
             together=None,
             renewal=None,
+            pending=None,
             told=(),
             anchor=Anchor(first, self.anchor.age) if kept and self.anchor is not None else None,
         )

@@ -41,6 +41,7 @@ from sylpose.tracking.team import MAX_GROWTH, REGION_GROWTH, Region, Team, featu
 from sylpose.tracking.thorough import is_doubtful, searched
 from sylpose.tracking.tracked_frame import TrackedFrame, unsolved_frame
 from sylpose.tracking.velocity import Velocity
+from sylpose.tracking.window import finished
 from sylpose.two_frames.fit import MIN_MATCHES
 
 __all__ = ["Waiting", "finish", "next_frame", "recover", "start", "steady"]
@@ -78,6 +79,7 @@ def next_frame(
 ) -> tuple[Joint, Sequence[Waiting], list[TrackedFrame]]:
     """The next frame, on whichever way it has to go; see `start`."""
     joint, frames = steadied(team, joint, frames)
+    joint = finished(team, joint, number)
     if joint.last is None:
         joint, waiting, decided = start(team, joint, waiting, number, frames)
     else:

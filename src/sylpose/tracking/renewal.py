@@ -42,7 +42,7 @@ from sylpose.tracking.team import Region, Team
 __all__ = ["begun", "joined", "wants"]
 
 # Frames until what is found in one joins: at 30 per second the time that it takes on a processor with other work (choice).
-LATER = 5
+LATER = 7
 # Noise of a match by which it is judged, pixels, at least (choice).
 NOISE_PX = 1.0
 

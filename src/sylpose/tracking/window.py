@@ -17,16 +17,18 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.adjustment.bundle import Bundled, Observations
 from sylpose.adjustment.sized import SMALL_TURN, bundle_sized, length_is_open
 from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.later import Later
 from sylpose.numerics.rigid import turn_between
 from sylpose.results import Status
+from sylpose.rig import Rig
 from sylpose.tracking.far_frames import another_path
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint import Joint
+from sylpose.tracking.joint import Joint, Refinement
 from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.records import Seen, placed
 from sylpose.tracking.team import Team
 
-__all__ = ["at_least", "is_due", "refined"]
+__all__ = ["at_least", "finished", "is_due", "refined"]
 
 # Frames that are refined together at most, the first one and the last among them (choice).
 MOST = 32
@@ -40,6 +42,8 @@ NEWS_TURN, NEWS_SHIFT, OFTEN, SELDOM = np.radians(10.0), 0.3, 4, 12
 # Of fewer frames nothing is told. Of fewer than this the depths are not known well enough to be refined with the
 # poses (choice).
 FEWEST, LEAST = 2, 9
+# Where the object took so many frames to show that, the refinement is ready so many frames later (choice).
+UNHURRIED, LATER = 8, 5
 # A pose is refined by less than this turn (radians) and share of the object's radius (choice).
 MAX_TURN, MAX_SHIFT = 0.1, 0.3
 # Rounds of the solver: it starts near the answer (choice).
@@ -52,6 +56,8 @@ def is_due(joint: Joint) -> bool:
     """Whether the frame just solved is to be refined with the others: the first ones are, then those that show enough that
     is new."""
     last, before = joint.base, joint.together
+    if joint.pending is not None:
+        return False
     if before is None or last.number - joint.keyframes[0].number <= LEAST:
         return True
     off, since = _moved(before, last.world_from_object), last.number - before.number
@@ -62,52 +68,76 @@ def is_due(joint: Joint) -> bool:
 def refined(team: Team, joint: Joint) -> Joint:
     """With the poses of the keyframes and of the last frames refined together; each camera places its landmarks anew. As
     long as there are few frames, and where the refinement goes astray, it only tells how well the path's length and the
-    last frame's pose are known."""
+    last frame's pose are known.
+
+    Where nothing presses, as the object shows little that is new, that is begun here, and `finished` some frames later.
+    """
     frames = _chosen(joint)
     if len(frames) < FEWEST:
         return joint
     numbers = [frame.number for frame in frames]
+    presses = joint.together is None or joint.base.number - joint.together.number < UNHURRIED
     before = joint.told or (Seen.none(),) * len(team.rig)
     new = team.crew.ask(lambda c: _news(team, joint, c, numbers, before[c]), Seen.none())
     told = [seen.among(after) for seen, after in zip(before, new, strict=True)]
     joint = replace(joint, told=tuple(seen.of(sorted(joint.known)) for seen in told), together=joint.base)
     used = [seen.of(numbers, after.known) for seen, after in zip(told, new, strict=True)]
-    found = _bundled(team, joint, frames, used, new)
-    if found is None:
+    names = np.repeat(np.arange(len(new)), [len(seen.known) for seen in new])
+    if not len(names):
         return joint
-    bundled, names = found
+    found = Later(_bundled, *_what(team, frames, used, new), joint.object.radius)
+    pending = Refinement(joint.base.number, tuple(frames), names, tuple(seen.known for seen in new), found)
+    joint = replace(joint, pending=pending)
+    return _applied(team, joint, pending) if presses else joint
+
+
+def finished(team: Team, joint: Joint, number: int) -> Joint:
+    """With what comes of a refinement that was begun, once it is to be there in the frame with this number."""
+    pending = joint.pending
+    return joint if pending is None or number < pending.number + LATER else _applied(team, joint, pending)
+
+
+def _applied(team: Team, joint: Joint, pending: Refinement) -> Joint:
+    """With what comes of a refinement; frames that were solved since then go along with the last one that it has."""
+    joint, bundled, frames = replace(joint, pending=None), pending.found.value(), pending.frames
+    if bundled.status is Status.TOO_FEW_MATCHES:
+        return joint
     joint = replace(joint, length_sd=bundled.length_sd if length_is_open(bundled) else 0.0)
-    last, at = joint.base, numbers.index(joint.base.number)  # of frames that waited, it is not the last one
-    off = _moved(last, bundled.world_from_object[at])
+    at = [frame.number for frame in frames].index(pending.number)  # of frames that waited, it is not the last one
+    last, refined_to = frames[at], bundled.world_from_object[at]
+    off = _moved(last, refined_to)
     near = np.linalg.norm(off[:3]) < MAX_TURN and np.linalg.norm(off[3:]) < MAX_SHIFT * joint.object.radius
     settled = len(frames) >= LEAST and bundled.status is Status.OK and near
-    if settled and _tells_surface(bundled, names):
+    if settled and _tells_surface(bundled, pending.names):
         joint = replace(joint, object=replace(joint.object, guessed=False))
+    now = joint.known
     # What is seen in boxes may be the mirror image of a turn, and settle there as well.
     if not settled or joint.object.guessed:
         if not bundled.tied[at]:
             return joint
         # Two ways of using the same matches: a pose is no better known than they agree on it.
-        doubted = replace(last, covariance=at_least(last.covariance, bundled.covariance[at]) + np.outer(off, off))
-        return replace(joint.moved({last.number: doubted}), refined=doubted.covariance)
-    poses = dict(zip(numbers, bundled.world_from_object, strict=True))
-    moved = {
-        frame.number: replace(
-            frame,
-            world_from_object=poses[frame.number],
-            covariance=bundled.covariance[k],
-            viewpoints=viewpoints(team.rig, poses[frame.number]),
-        )
+        doubted = at_least(last.covariance, bundled.covariance[at]) + np.outer(off, off)
+        known = {last.number: replace(now[last.number], covariance=doubted)} if last.number in now else {}
+        return replace(joint.moved(known), refined=doubted)
+    poses = {
+        frame.number: (bundled.world_from_object[k], bundled.covariance[k])
         for k, frame in enumerate(frames)
-        if bundled.tied[k]
+        if bundled.tied[k] and frame.number in now
+    }
+    if bundled.tied[at]:
+        along = refined_to * last.world_from_object.inv()
+        poses |= {k: (along * f.world_from_object, f.covariance) for k, f in now.items() if k > frames[-1].number}
+    moved = {
+        k: replace(now[k], world_from_object=pose, covariance=covariance, viewpoints=viewpoints(team.rig, pose))
+        for k, (pose, covariance) in poses.items()
     }
 
     def learn(c: int) -> None:
-        mine = names == c
+        mine = pending.names == c
         if mine.any():
-            team.parts[c].table.place(new[c].known, bundled.landmarks[mine])
+            team.parts[c].table.place(pending.known[c], bundled.landmarks[mine])
 
-    team.crew.each(learn)
+    team.crew.each(learn, long=True)
     return replace(joint.moved(moved), refined=bundled.covariance[at] if bundled.tied[at] else None)
 
 
@@ -183,20 +213,17 @@ def _sights(frame: IntArray, landmark: IntArray) -> IntArray:
     return frame * LANDMARK_NUMBERS + landmark
 
 
-def _bundled(
-    team: Team, joint: Joint, frames: Sequence[SolvedFrame], told: Sequence[Seen], new: Sequence[Seen]
-) -> tuple[Bundled, IntArray] | None:
-    """The frames refined together, and (m,) whose landmarks they are; None where that says nothing.
+def _what(
+    team: Team, frames: Sequence[SolvedFrame], told: Sequence[Seen], new: Sequence[Seen]
+) -> tuple[Rig, Observations, RigidTransform, FloatArray, FloatArray]:
+    """What is refined: the rig, the observations, the poses, where the landmarks are, and when each camera took each frame.
 
     Args:
         told: by camera, what is used; new: which landmarks, and where they are.
     """
     cameras = np.repeat(np.arange(len(told)), [len(seen.frame) for seen in told])
-    names = np.repeat(np.arange(len(told)), [len(seen.known) for seen in new])
     starts = np.cumsum([0, *(len(seen.known) for seen in new)])
     landmark = [starts[c] + np.searchsorted(new[c].known, seen.landmark) for c, seen in enumerate(told)]
-    if not len(names):
-        return None
     observations = Observations(
         np.searchsorted([frame.number for frame in frames], np.concatenate([seen.frame for seen in told])),
         cameras,
@@ -207,15 +234,21 @@ def _bundled(
     times = np.array([frame.time + frame.late for frame in frames])
     if (np.diff(times.mean(axis=1)) <= 0).any():  # by what cameras say of their clocks: that cannot be
         times = np.array([frame.time for frame in frames])
-    bundled = bundle_sized(
-        team.rig,
+    return team.rig, observations, poses, np.concatenate([seen.place for seen in new]), times
+
+
+def _bundled(
+    rig: Rig, observations: Observations, poses: RigidTransform, landmarks: FloatArray, times: FloatArray, radius: float
+) -> Bundled:
+    """The frames refined together; see `_what`."""
+    return bundle_sized(
+        rig,
         observations,
         poses,
-        joint.object.radius,
-        other=another_path(team.rig, observations, poses, joint.object.radius),
-        landmarks=np.concatenate([seen.place for seen in new]),
+        radius,
+        other=another_path(rig, observations, poses, radius),
+        landmarks=landmarks,
         times=times,
         max_rounds=ROUNDS,
         roughly=True,
     )
-    return None if bundled.status is Status.TOO_FEW_MATCHES else (bundled, names)
