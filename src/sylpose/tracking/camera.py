@@ -343,7 +343,7 @@ class CameraPart:
 
     def anchor_at(self, number: int, image: Image | None, before: Followed | None) -> None:
         """A solved frame becomes the anchor. See `anchor.begin_anchor`."""
-        self.anchor = begin_anchor(number, self.frames[number], image, before)
+        self.anchor, self.renewal = begin_anchor(number, self.frames[number], image, before), None
 
     def go_on(self, followed: Followed, pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> None:
         """A frame was solved by the anchor's features alone."""

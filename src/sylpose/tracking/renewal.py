@@ -58,14 +58,14 @@ def begun(team: Team, joint: Joint, frames: FrameSet, found: Found) -> Joint:
     last, followed = joint.base, found.followed
 
     def begin_for(c: int) -> None:
-        part, its, image = team.parts[c], followed[c], frames.images[c]
+        part, its = team.parts[c], followed[c]
         part.renewal = None
-        if image is None or its.image is None:
+        if its.image is None:
             return
         keyframes = references_of(joint.keyframes, c, last.viewpoints[c], last)
         references = {k.number: part.frames[k.number].features for k in keyframes}
         where = _where(found.regions[c], frames.masks[c], part.camera)
-        looking = Later(_looked_for, image, part.camera, where, its, part.surroundings, part.still_px, references)
+        looking = Later(_looked_for, its.image, part.camera, where, its, part.surroundings, part.still_px, references)
         part.renewal = Renewal(last.number, its.image, found.rig.cameras[c], len(its), its.rows, looking)
 
     team.crew.each(begin_for)
