@@ -15,7 +15,9 @@ from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.landmarks.places import Landmarks
 from sylpose.landmarks.table import LandmarkTable
+from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.matrices import covariance_of
+from sylpose.numerics.robust import SIGMA_OF_MEDIAN
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.anchor import FEATURES as ANCHOR_FEATURES
@@ -39,6 +41,7 @@ __all__ = [
     "is_the_same",
     "looked_for",
     "matched",
+    "noise_of",
     "on_the_move",
     "recognised_anywhere",
     "solved_from",
@@ -133,7 +136,8 @@ def looked_for(
     regions: Sequence[Region],
     followed: Sequence[Followed] | None,
 ) -> list[Features]:
-    """By camera, each its own: the features in the object's regions, after those that were followed.
+    """By camera, each its own: the features in the object's regions, after those that were followed; faint ones too, where the
+    others hardly suffice.
 
     Args:
         ahead: world_from_object as predicted.
@@ -142,7 +146,7 @@ def looked_for(
     most = (
         (KLT_FEATURES, ANCHOR_FEATURES) if team.follows and not is_fast(joint, ahead) else (MAX_FEATURES, MAX_FEATURES)
     )
-    detected = team.detect(frames, regions, most[0])
+    detected = team.detect(frames, regions, most[0], faint=joint.starves)
     if followed is None:
         return detected
     return team.crew.each(
@@ -286,8 +290,16 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
         tried_moved=len(np.unique(np.concatenate([np.empty(0, np.int64), *before]))),
         residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
         sees=len(current.features) > 0,
+        faint=int(np.count_nonzero(current.features.faint[np.unique(indices)])),
+        noise_px=noise_of(np.sqrt(squares)),
         moving=len(np.unique(np.concatenate([np.empty(0, np.int64), *(p.indices[~still(p), 1] for p in inliers)]))),
     )
+
+
+def noise_of(off: FloatArray) -> float:
+    """Standard deviation of what agrees, by how far it is off (n,): the root of the mean square, or by the median where that is
+    less, since a few of many faint features may be far off; NaN without any."""
+    return float(min(np.sqrt(np.mean(off**2)), SIGMA_OF_MEDIAN * np.median(np.abs(off)))) if len(off) else np.nan
 
 
 def recognised_anywhere(team: Team, joint: Joint, frame: Frame) -> RigidTransform | None:

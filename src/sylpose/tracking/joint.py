@@ -28,6 +28,9 @@ __all__ = ["MIN_MOVED", "Joint", "Nudge", "covariance_with_references"]
 MAX_COASTING, COASTING_TURN, COASTING_SHIFT = 15, UNCERTAIN_TURN, 1.0
 # Frames besides the keyframes that are refined with them (choice).
 RECENT = 8
+# Where fewer features of the usual contrast than this agreed with the last pose, in the mean over the cameras, faint ones are
+# asked for as well (measured: benchmarks/kinds.py, the kinds of kinds_starving.py; board4 has 90 and more) (choice).
+STARVES = 60
 # A pose is the object's, and not the background's, when so many of the features that agree with it have moved with it, and
 # this share of them (choice).
 MIN_MOVED, MOVED_SHARE = 8, 0.04
@@ -76,6 +79,7 @@ class Joint:
         nudges: of cameras, in order of time.
         refined: (6, 6) of (w, d), how well the last frame was known that was refined with others: the next ones are known no
             better, since they are found by the same landmarks. None before any was.
+        starves: whether features of the usual contrast hardly suffice to track it.
         told: by camera, what it has told of the frames that are known; nothing before the first refinement, and where it is
             forgotten, by all, it is told again.
     """
@@ -96,6 +100,7 @@ class Joint:
     nudges: tuple[Nudge, ...] = ()
     refined: FloatArray | None = None
     told: tuple[Seen, ...] = ()
+    starves: bool = False
 
     @property
     def base(self) -> SolvedFrame:
@@ -134,9 +139,12 @@ class Joint:
         if not self.lost:
             elapsed = solved.time - self.base.time
             velocity = velocity.learnt(motion, self.base.world_from_object.translation, elapsed)
+        strong = sum(a.features - a.faint for a in agreed)
         return replace(
             self,
             last=solved,
+            # What is followed from an anchor are some features of many.
+            starves=strong < STARVES * len(agreed) if anew and agreed else self.starves,
             keyframes=with_keyframe(self.keyframes, solved) if anew else self.keyframes,
             recent=(*self.recent, solved)[-RECENT:],
             anchor=None if anew or self.anchor is None else replace(self.anchor, age=self.anchor.age + 1),

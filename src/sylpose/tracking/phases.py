@@ -60,6 +60,9 @@ AMBIGUOUS = (
     "Without boxes, what moves most is tracked; something else moved nearly as much. Boxes or masks of the object would "
     "tell which of the two it is."
 )
+# Where boxes have fewer features than this in the first frame, in the mean over the cameras, faint ones are asked for as
+# well; much of what is in them may be background (choice).
+FEW_AT_FIRST = 250
 # Features per camera while the object may be anywhere in the image (choice).
 START_FEATURES = 4000
 
@@ -225,9 +228,14 @@ def start(
     if model.center is not None:
         regions = regions_of(team, joint, RigidTransform.from_translation(model.center))
         features = team.detect(frames, regions, MAX_FEATURES)
-        if sum(team.crew.ask(lambda c: len(features[c]), 0)) < MIN_MATCHES:
+        count = sum(team.crew.ask(lambda c: len(features[c]), 0))
+        joint = replace(joint, starves=count < FEW_AT_FIRST * len(team.rig))
+        if joint.starves:
+            more = team.detect(frames, regions, faint=True)
+            features, count = more, sum(team.crew.ask(lambda c: len(more[c]), 0))
+        if count < MIN_MATCHES:
             return joint, [], [unsolved_frame(frames, FrameStatus.TOO_FEW_MATCHES, regions, model.radius)]
-        around = team.detect(frames, regions, MAX_FEATURES, around=True)
+        around = team.detect(frames, regions, MAX_FEATURES, around=True, faint=joint.starves)
         frame = team.frame(number, frames, features)
         joint, first = accept_first(team, joint, frames, frame, around, model.center, regions)
         return joint, [], [first]
