@@ -4,10 +4,10 @@
 
 The first frame's features, at their true places on the object, are the landmarks; the second frame's features are matched
 with them by their looks and the pose is found as after the object was lost (`tracking/relocalise.py`): within 3 degrees and
-a tenth of the object's radius it is found. Where a pose is predicted, some degrees and a share of the radius wrong, they are
-also matched where they should be (*guided*), and the share of matches counts that are within 2 pixels of the truth. Prints, for
-each paint and turn: scenes in which the object was not found, true matches of all cameras (median and least), how many of
-all matches are true, median error of the true ones, and the time for one image.
+a tenth of the object's radius it is found. *Guided* ones are matched where a prediction that is 2 degrees and a fiftieth of
+the radius wrong says that they should be. Prints, for each paint and turn: scenes in which the object was not found; true
+matches of all cameras (within 2 pixels; median and least); how many of all matches are true; the true ones' median error; and
+the time for one image.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def results(take: Take, seed: int, seconds: dict[str, list[float]], ways: Sequen
             for c, camera in enumerate(rig):
                 a, b = seen[kind][0][c], seen[kind][1][c]
                 places = on_surface(camera, a.normalized, start, take.scene.actors[0].body)
-                on_it = np.isfinite(places).all(axis=1)
+                on_it = np.asarray(np.isfinite(places).all(axis=1))
                 a, places = a.subset(on_it), places[on_it]
                 if WAYS[way].guided:
                     ahead = camera.project(guess.apply(places).reshape(-1, 3))
@@ -190,8 +190,8 @@ def cell(rows: list[Result]) -> str:
     """Scenes not found; true matches, median and least; their share; their error."""
     true, matches = np.array([r.true for r in rows]), np.array([r.matches for r in rows])
     share = 100.0 * true.sum() / max(matches.sum(), 1)
-    lost = sum(not r.found for r in rows)
-    return f"{lost} lost; {np.median(true):.0f}, {true.min()}; {share:.0f} %; {np.nanmedian([r.error_px for r in rows]):.2f} px"
+    lost, error = sum(not r.found for r in rows), np.nanmedian([r.error_px for r in rows])
+    return f"{lost} lost; {np.median(true):.0f}, {true.min()}; {share:.0f} %; {error:.2f} px"
 
 
 if __name__ == "__main__":

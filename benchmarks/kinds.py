@@ -9,8 +9,9 @@ its status says that its pose was found, it is more than 3 degrees off (or a thi
 five standard deviations of its own covariance. NEES: normalised squared error of all six unknowns, 6 in the mean for a
 covariance that is right. Frames *left* have no measured pose though they could have been solved
 (`benchmarks/kinds_solvable.py`); frames *off* have one that is more than 2 degrees off. Prints one line per kind, or per
-variation with --each, and the frames of each with --frames. The kinds are in `benchmarks/kinds_scenes.py` and
-`benchmarks/kinds_thorough.py` and `benchmarks/kinds_starving.py`; those of the group "large" are not among "all", which is what runs without a name.
+variation with --each, and the frames of each with --frames. The kinds are in `benchmarks/kinds_scenes.py`,
+`benchmarks/kinds_thorough.py` and `benchmarks/kinds_starving.py`; those of the group "large" are not among "all", which is
+what runs without a name.
 """
 
 from __future__ import annotations

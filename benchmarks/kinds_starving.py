@@ -1,5 +1,5 @@
-"""The kinds of scenes of `benchmarks/kinds.py` in which SIFT starves: faint or blurred paint, large steps from frame to frame,
-an object that comes back elsewhere after it was gone. A part of `benchmarks/kinds_scenes.py`.
+"""The kinds of scenes of `benchmarks/kinds.py` in which SIFT starves: faint or blurred paint, large steps from frame to
+frame, an object that comes back elsewhere after it was gone. A part of `benchmarks/kinds_scenes.py`.
 """
 
 from __future__ import annotations

@@ -29,8 +29,9 @@ __all__ = [
 # A crop is padded by this: the object's region has a margin of its own, and SIFT's time is that of its area.
 CROP_MARGIN_PX = 8
 MAX_FEATURES = 1000
-# Least contrast, of OpenCV's contrast threshold, which it compares with `RESPONSES` times a keypoint's response. Lower than
-# Lowe's 0.04: on plain objects there is little else to go by, and what is not the object's motion is rejected later (choice).
+# Least contrast: OpenCV compares it with so many times a keypoint's response (derived: its layers per octave). Lower than
+# Lowe's 0.04: on plain objects there is little else to go by, and what is not the object's motion is rejected
+# later (choice).
 CONTRAST, RESPONSES = 0.02, 3.0
 # Where these are not enough, everything that can be found: so many, with so little contrast, and along edges too.
 ALL_FEATURES, FAINT_CONTRAST, FAINT_EDGE = 4000, 0.005, 20.0

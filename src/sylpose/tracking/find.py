@@ -136,8 +136,8 @@ def looked_for(
     regions: Sequence[Region],
     followed: Sequence[Followed] | None,
 ) -> list[Features]:
-    """By camera, each its own: the features in the object's regions, after those that were followed; faint ones too, where the
-    others hardly suffice.
+    """By camera, each its own: the features in the object's regions, after those that were followed; faint ones too, where
+    the others hardly suffice.
 
     Args:
         ahead: world_from_object as predicted.
@@ -297,8 +297,8 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
 
 
 def noise_of(off: FloatArray) -> float:
-    """Standard deviation of what agrees, by how far it is off (n,): the root of the mean square, or by the median where that is
-    less, since a few of many faint features may be far off; NaN without any."""
+    """Standard deviation of what agrees, by how far it is off (n,): the root of the mean square, or by the median where
+    that is less, since a few of many faint features may be far off; NaN without any."""
     return float(min(np.sqrt(np.mean(off**2)), SIGMA_OF_MEDIAN * np.median(np.abs(off)))) if len(off) else np.nan
 
 

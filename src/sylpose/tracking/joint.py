@@ -28,8 +28,8 @@ __all__ = ["MIN_MOVED", "Joint", "Nudge", "covariance_with_references"]
 MAX_COASTING, COASTING_TURN, COASTING_SHIFT = 15, UNCERTAIN_TURN, 1.0
 # Frames besides the keyframes that are refined with them (choice).
 RECENT = 8
-# Where fewer features of the usual contrast than this agreed with the last pose, in the mean over the cameras, faint ones are
-# asked for as well (measured: benchmarks/kinds.py, the kinds of kinds_starving.py; board4 has 90 and more) (choice).
+# Where fewer features of the usual contrast than this agreed with the last pose, in the mean over the cameras, faint ones
+# are asked for as well: board4, rich enough, has 90 and more (measured: benchmarks/kinds.py, faint) (choice).
 STARVES = 60
 # A pose is the object's, and not the background's, when so many of the features that agree with it have moved with it, and
 # this share of them (choice).
