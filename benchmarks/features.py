@@ -6,8 +6,8 @@ The first frame's features, at their true places on the object, are the landmark
 with them by their looks and the pose is found as after the object was lost (`tracking/relocalise.py`): within 3 degrees and
 a tenth of the object's radius it is found. *Guided* ones are matched where a prediction that is 2 degrees and a fiftieth of
 the radius wrong says that they should be. Prints, for each paint and turn: scenes in which the object was not found; true
-matches of all cameras (within 2 pixels; median and least); how many of all matches are true; the true ones' median error; and
-the time for one image.
+matches of all cameras (within 2 pixels; median and least); how many of all matches are true; the true ones' median error;
+and the time for one image.
 """
 
 from __future__ import annotations

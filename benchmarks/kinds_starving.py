@@ -80,11 +80,11 @@ def jumps_40(rng: np.random.Generator) -> Take:
     return painted(rng, lambda body: body, 40.0, 40.0)
 
 
-def comes_back(rng: np.random.Generator, contrast: float) -> Take:
+def comes_back(rng: np.random.Generator, change: Callable[[TexturedBody], TexturedBody]) -> Take:
     """Turns by 5 degrees a frame for 10 frames, is gone for 4, comes back turned by 15 to 35 degrees against any of the
     earlier frames, and goes on from there."""
     rig, radius = rig_of(rng, share=0.5)
-    body = faded(any_body(rng, rig, radius), contrast)
+    body = change(any_body(rng, rig, radius))
     before, gone = 10, 4
     path = moving(rng, 5.0 * np.arange(30.0), np.zeros((30, 3)))
     turned = Rotation.from_rotvec(np.radians(rng.uniform(15, 35)) * unit(rng))
@@ -105,12 +105,19 @@ def comes_back(rng: np.random.Generator, contrast: float) -> Take:
 
 def back(rng: np.random.Generator) -> Take:
     """With rich paint."""
-    return comes_back(rng, 1.0)
+    return comes_back(rng, lambda body: body)
 
 
 def back_faint(rng: np.random.Generator) -> Take:
     """With 10 to 20 % of its contrast."""
-    return comes_back(rng, float(rng.uniform(0.1, 0.2)))
+    contrast = float(rng.uniform(0.1, 0.2))
+    return comes_back(rng, lambda body: faded(body, contrast))
 
 
-STARVING: dict[str, Kind] = named([faint, faint_free, blurred, faint_jumps, jumps_30, jumps_40, back, back_faint])
+def back_blurred(rng: np.random.Generator) -> Take:
+    """With paint blurred by 4 to 8 texels."""
+    texels = float(rng.uniform(4.0, 8.0))
+    return comes_back(rng, lambda body: softened(body, texels))
+
+
+STARVING: dict[str, Kind] = named([faint, faint_free, blurred, faint_jumps, jumps_30, jumps_40, back, back_faint, back_blurred])

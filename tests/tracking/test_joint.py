@@ -118,27 +118,30 @@ def test_keyframes_are_kept_of_frames_with_features_of_their_own_from_new_sides(
     assert joint.base.number == 1
 
 
-def agreeing(features: int, faint: int) -> Agreed:
-    return replace(Agreed.none(), features=features, faint=faint)
+def agreeing(features: int, strong: int) -> Agreed:
+    return replace(Agreed.none(), features=features, moved=features, strong=strong)
 
 
 @pytest.mark.parametrize(
     ("seen", "starves"),
     [
-        ([(STARVES, 0)] * 3, False),
-        ([(STARVES - 1, 0)] * 3, True),
-        ([(STARVES + 200, 201)] * 3, True),  # what is faint does not count
-        ([(3 * STARVES, 0), (0, 0), (0, 0)], False),
-        ([(3 * STARVES, 1), (0, 0), (5, 5)], True),
+        ([(STARVES, STARVES)] * 3, False),
+        ([(STARVES, STARVES - 1)] * 3, True),
+        ([(STARVES + 200, 0)] * 3, True),  # what is faint does not count
+        ([(3 * STARVES, 3 * STARVES), (0, 0), (0, 0)], False),
+        ([(3 * STARVES, 3 * STARVES - 1), (0, 0), (5, 0)], True),
     ],
 )
 def test_it_starves_where_few_features_of_the_usual_contrast_agree(seen: list[tuple[int, int]], starves: bool) -> None:
     agreed = [agreeing(*one) for one in seen]
-    joint = begun().accepted(solved(1), STEP, anew=True, agreed=agreed)
-    assert joint.starves == starves
-    # What is followed are some features of many: they do not tell.
+    proven = replace(begun(), proven=True)
+    assert proven.accepted(solved(1), STEP, anew=True, agreed=agreed).starves == starves
     for was in (False, True):
-        assert replace(begun(), starves=was).accepted(solved(1), STEP, anew=False, agreed=agreed).starves == was
+        # What is followed are some features of many: they do not tell.
+        assert replace(proven, starves=was).accepted(solved(1), STEP, anew=False, agreed=agreed).starves == was
+        # Nor does what may be background.
+        still = [replace(a, moved=0) for a in agreed]
+        assert replace(begun(), starves=was).accepted(solved(1), STEP, anew=True, agreed=still).starves == was
 
 
 def test_an_anchor_ages_until_a_frame_has_features_of_its_own() -> None:

@@ -29,7 +29,7 @@ from sylpose.tracking.frame_solvers import Agreement, Problem, Solution
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import references_of, viewpoints
 from sylpose.tracking.records import Ages, Agreed, Following, Recognised
-from sylpose.tracking.relocalise import pose_of, recognised, to_try
+from sylpose.tracking.relocalise import LOOSE_RATIO, RATIO, pose_of, recognised, to_try
 from sylpose.tracking.team import Region, Team
 from sylpose.two_frames.motion import motion_about
 
@@ -290,7 +290,7 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
         tried_moved=len(np.unique(np.concatenate([np.empty(0, np.int64), *before]))),
         residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
         sees=len(current.features) > 0,
-        faint=int(np.count_nonzero(current.features.faint[np.unique(indices)])),
+        strong=int(np.count_nonzero(~current.features.faint[np.unique(indices)])),
         noise_px=noise_of(np.sqrt(squares)),
         moving=len(np.unique(np.concatenate([np.empty(0, np.int64), *(p.indices[~still(p), 1] for p in inliers)]))),
     )
@@ -302,17 +302,19 @@ def noise_of(off: FloatArray) -> float:
     return float(min(np.sqrt(np.mean(off**2)), SIGMA_OF_MEDIAN * np.median(np.abs(off)))) if len(off) else np.nan
 
 
-def recognised_anywhere(team: Team, joint: Joint, frame: Frame) -> RigidTransform | None:
+def recognised_anywhere(team: Team, joint: Joint, frame: Frame, *, faint: bool = False) -> RigidTransform | None:
     """world_from_object by the keyframes' landmarks alone, wherever the object is; None if it is not found.
 
     Args:
         frame: with the features of the whole images.
+        faint: whether these are all that there are, and need not be as much alike.
     """
+    ratio = LOOSE_RATIO if faint else RATIO
 
     def of(c: int) -> Recognised:
         part = team.parts[c]
         tried = to_try(joint.keyframes, c, joint.base, joint.missed)
-        return recognised([part.frames[k.number] for k in tried], frame.cameras[c], joint.object.radius)
+        return recognised([part.frames[k.number] for k in tried], frame.cameras[c], joint.object.radius, ratio)
 
     found = team.crew.each(of, long=True)
     return pose_of(team.rig, team.crew.ask(lambda c: found[c], Recognised.none()))

@@ -139,12 +139,12 @@ class Joint:
         if not self.lost:
             elapsed = solved.time - self.base.time
             velocity = velocity.learnt(motion, self.base.world_from_object.translation, elapsed)
-        strong = sum(a.features - a.faint for a in agreed)
+        strong, proven = sum(a.strong for a in agreed), self.proven_by(agreed)
         return replace(
             self,
             last=solved,
-            # What is followed from an anchor are some features of many.
-            starves=strong < STARVES * len(agreed) if anew and agreed else self.starves,
+            # What is followed from an anchor are some features of many; until it has moved all may be background.
+            starves=strong < STARVES * len(agreed) if anew and proven and agreed else self.starves,
             keyframes=with_keyframe(self.keyframes, solved) if anew else self.keyframes,
             recent=(*self.recent, solved)[-RECENT:],
             anchor=None if anew or self.anchor is None else replace(self.anchor, age=self.anchor.age + 1),
@@ -152,7 +152,7 @@ class Joint:
             missed=0,
             seen_again=0,
             lost=False,
-            proven=self.proven_by(agreed),
+            proven=proven,
             only_still=False,
         )
 

@@ -182,7 +182,7 @@ class Agreed:
         moving: number of features that are inliers and do not stand still.
         residual_px: the rms of their residuals, NaN without any.
         sees: whether the frame has any feature of this camera.
-        faint: number of features that are inliers and faint.
+        strong: number of features that are inliers and not faint.
         noise_px: standard deviation of the inliers' residuals, whatever a few of them are; NaN without any.
     """
 
@@ -197,7 +197,7 @@ class Agreed:
     residual_px: float
     sees: bool
     moving: int = 0
-    faint: int = 0
+    strong: int = 0
     noise_px: float = np.nan
 
     @classmethod
