@@ -120,4 +120,6 @@ def back_blurred(rng: np.random.Generator) -> Take:
     return comes_back(rng, lambda body: softened(body, texels))
 
 
-STARVING: dict[str, Kind] = named([faint, faint_free, blurred, faint_jumps, jumps_30, jumps_40, back, back_faint, back_blurred])
+STARVING: dict[str, Kind] = named(
+    [faint, faint_free, blurred, faint_jumps, jumps_30, jumps_40, back, back_faint, back_blurred]
+)

@@ -59,7 +59,9 @@ def _is_sound(one: object, camera: int) -> bool:
         case Known():
             return _is_sound(one.sights, camera)
         case Agreed():
-            return _is_sound(one.ages, camera) and len(one.references) == len(one.weights) and one.strong <= one.features
+            return (
+                _is_sound(one.ages, camera) and len(one.references) == len(one.weights) and one.strong <= one.features
+            )
         case Ages():
             return bool(one.counts.sum() < MOST)
         case Judges():
