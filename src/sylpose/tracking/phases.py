@@ -230,11 +230,11 @@ def start(
         features = team.detect(frames, regions, MAX_FEATURES)
         middle = sum(team.crew.ask(lambda c: _in_the_middle(team, c, features[c], regions[c]), 0))
         joint = replace(joint, starves=middle < FEW_AT_FIRST * len(team.rig))
-        found = team.detect(frames, regions, faint=True) if joint.starves else features
-        if sum(team.crew.ask(lambda c: len(found[c]), 0)) < MIN_MATCHES:
+        seen = team.detect(frames, regions, faint=True) if joint.starves else features
+        if sum(team.crew.ask(lambda c: len(seen[c]), 0)) < MIN_MATCHES:
             return joint, [], [unsolved_frame(frames, FrameStatus.TOO_FEW_MATCHES, regions, model.radius)]
         around = team.detect(frames, regions, MAX_FEATURES, around=True, faint=joint.starves)
-        frame = team.frame(number, frames, found)
+        frame = team.frame(number, frames, seen)
         joint, first = accept_first(team, joint, frames, frame, around, model.center, regions)
         return joint, [], [first]
     features = team.detect(frames, None, START_FEATURES)
