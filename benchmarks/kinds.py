@@ -9,8 +9,9 @@ its status says that its pose was found, it is more than 3 degrees off (or a thi
 five standard deviations of its own covariance. NEES: normalised squared error of all six unknowns, 6 in the mean for a
 covariance that is right. Frames *left* have no measured pose though they could have been solved
 (`benchmarks/kinds_solvable.py`); frames *off* have one that is more than 2 degrees off. Prints one line per kind, or per
-variation with --each, and the frames of each with --frames. The kinds are in `benchmarks/kinds_scenes.py` and
-`benchmarks/kinds_thorough.py`; those of the group "large" are not among "all", which is what runs without a name.
+variation with --each, and the frames of each with --frames. The kinds are in `benchmarks/kinds_scenes.py`,
+`benchmarks/kinds_thorough.py` and `benchmarks/kinds_starving.py`; those of the group "large" are not among "all", which is
+what runs without a name.
 """
 
 from __future__ import annotations
@@ -27,13 +28,14 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.kinds_scenes import GROUPS as SCENES
 from benchmarks.kinds_scenes import Kind, Take
 from benchmarks.kinds_solvable import unsolved_but_solvable
+from benchmarks.kinds_starving import STARVING
 from benchmarks.kinds_thorough import LARGE, THOROUGH
 from sylpose import FramePose, FrameStatus, track
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray
 from sylpose.smoothing.trajectory import Track, smooth
 
-GROUPS = {**SCENES, "thorough": THOROUGH, "large": LARGE}
+GROUPS = {**SCENES, "thorough": THOROUGH, "starving": STARVING, "large": LARGE}
 KINDS: dict[str, Kind] = {name: kind for group in GROUPS.values() for name, kind in group.items()}
 
 # What is wrong, and sure of it (the project's promise).

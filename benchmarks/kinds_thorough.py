@@ -15,7 +15,7 @@ from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, Scene, TexturedBody, chamfered_box
 
-__all__ = ["THOROUGH"]
+__all__ = ["THOROUGH", "plain_paint", "steps"]
 
 # Full HD and five megapixels, and the focal length of their lens, pixels.
 FULL_HD, FIVE_MP, LONG = (1920, 1080), (2448, 2048), 5000.0
@@ -154,11 +154,15 @@ SMALL = (480, 270)
 def plain(rng: np.random.Generator) -> Take:
     """8 to 15 degrees from frame to frame, and little paint: some marks on each face, of which 60 to 200 are matched."""
     rig, radius = rig_of(rng, share=0.6)
-    body = any_body(rng, rig, radius)
+    body = plain_paint(any_body(rng, rig, radius), rng)
+    return steps(rng, float(rng.uniform(8, 15)), rig, body, radius, 24)
+
+
+def plain_paint(body: TexturedBody, rng: np.random.Generator) -> TexturedBody:
+    """A body in plain paint with some marks on each face."""
     colours = rng.uniform(110, 170, 3)
     density = float(rng.uniform(1 / 1000, 1 / 350))
-    body = replace(body, textures=tuple(marked(texture, colours, density, rng) for texture in body.textures))
-    return steps(rng, float(rng.uniform(8, 15)), rig, body, radius, 24)
+    return replace(body, textures=tuple(marked(texture, colours, density, rng) for texture in body.textures))
 
 
 def marked(texture: Image, colour: FloatArray, density: float, rng: np.random.Generator) -> Image:

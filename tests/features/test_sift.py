@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -149,6 +151,27 @@ def test_detection_is_deterministic(images: list[Image], camera: Camera) -> None
     a, b = detect(images[1], camera), detect(images[1], camera)
     np.testing.assert_array_equal(a.pixels, b.pixels)
     np.testing.assert_array_equal(a.descriptors, b.descriptors)
+
+
+def test_faint_ones_are_those_that_the_usual_contrast_leaves_out(images: list[Image], camera: Camera) -> None:
+    usual = detect(images[0], camera, None, 4000)
+    every = detect(images[0], camera, None, 4000, faint=True)
+    assert not usual.faint.any()
+    assert 0.2 * len(every) < every.faint.sum() < 0.9 * len(every)
+    # Of those that are not faint the usual ones are all there; the others lie on edges.
+    strong = every.subset(~every.faint)
+    assert len(strong) >= len(usual)
+    assert cKDTree(strong.pixels).query(usual.pixels)[0].max() < 1e-3
+    faint = every.subset(every.faint)
+    assert np.isin(np.round(faint.pixels, 3), np.round(usual.pixels, 3)).all(axis=1).mean() < 0.02
+
+
+def test_faint_ones_stay_faint() -> None:
+    features = random_features(4, np.random.default_rng(0))
+    assert not features.faint.any()
+    some = replace(features, faint=np.array([True, False, True, False]))
+    assert some.subset(np.array([2, 1])).faint.tolist() == [True, False]
+    assert Features.concatenate([features, some]).faint.tolist() == [False] * 4 + [True, False, True, False]
 
 
 def test_subset_by_mask_and_by_index() -> None:

@@ -29,6 +29,7 @@ from sylpose.tracking.records import Sighted
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
 from tests.clips import SIZE, Clip, errors
+from tests.tracking.test_thorough import PALE, jumping
 
 FRAMES = 8
 
@@ -95,6 +96,18 @@ def test_nodes_have_the_poses_of_one_process(
         if method == "landmarks":
             # A round of the alignment, which is what most rounds are; of a header, too.
             assert np.median(told) + HEADER.size <= 256
+
+
+def test_faint_features_are_asked_for_by_all_alike() -> None:
+    """An object in pale paint: all know that it starves."""
+    clip = jumping(12.0, PALE)
+    frames = clip.frames()
+    expected = list(track(frames, clip.rig, clip.boxes, features="sift"))
+    assert sum(f.pose.measured for f in expected) >= len(frames) - 1
+    outcome = track_by_nodes(frames, clip.rig, clip.boxes, features="sift")
+    assert_same(outcome.frames[0], expected, 1e-11)
+    assert_agreed(outcome, range(len(clip.rig)))
+    assert outcome.refused == [{}] * len(clip.rig)
 
 
 def test_a_nudged_camera_tells_the_others(clip: Clip) -> None:

@@ -60,6 +60,8 @@ def test_what_can_be_true_is_taken(told: object) -> None:
         (Following(-1, 0, True, True), NO_MATCHES),
         (replace(Agreed.none(), references=(3,), weights=(np.nan,)), NO_MATCHES),
         (replace(Agreed.none(), references=(3,)), NO_MATCHES),
+        (replace(Agreed.none(), features=3, strong=4), NO_MATCHES),
+        (replace(Agreed.none(), noise_px=-1.0), NO_MATCHES),
         (Ages(np.array([3.0]), np.array([-1.0])), NO_MATCHES),
         (Ages(np.array([3.0, 4.0]), np.array([9e6, 9e6])), NO_MATCHES),
         (Recognised(np.full((1, 3), np.nan), np.zeros((1, 2))), NO_MATCHES),

@@ -12,7 +12,14 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.simulate import ring
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint import COASTING_SHIFT, COASTING_TURN, MAX_COASTING, Joint, covariance_with_references
+from sylpose.tracking.joint import (
+    COASTING_SHIFT,
+    COASTING_TURN,
+    MAX_COASTING,
+    STARVES,
+    Joint,
+    covariance_with_references,
+)
 from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.records import Ages, Agreed, total_ages
@@ -109,6 +116,32 @@ def test_keyframes_are_kept_of_frames_with_features_of_their_own_from_new_sides(
     joint = begun().accepted(solved(1, motion * START), motion, anew=anew)
     assert [k.number for k in joint.keyframes] == ([0, 1] if kept else [0])
     assert joint.base.number == 1
+
+
+def agreeing(features: int, strong: int) -> Agreed:
+    return replace(Agreed.none(), features=features, moved=features, strong=strong)
+
+
+@pytest.mark.parametrize(
+    ("seen", "starves"),
+    [
+        ([(STARVES, STARVES)] * 3, False),
+        ([(STARVES, STARVES - 1)] * 3, True),
+        ([(STARVES + 200, 0)] * 3, True),  # what is faint does not count
+        ([(3 * STARVES, 3 * STARVES), (0, 0), (0, 0)], False),
+        ([(3 * STARVES, 3 * STARVES - 1), (0, 0), (5, 0)], True),
+    ],
+)
+def test_it_starves_where_few_features_of_the_usual_contrast_agree(seen: list[tuple[int, int]], starves: bool) -> None:
+    agreed = [agreeing(*one) for one in seen]
+    proven = replace(begun(), proven=True)
+    assert proven.accepted(solved(1), STEP, anew=True, agreed=agreed).starves == starves
+    for was in (False, True):
+        # What is followed are some features of many: they do not tell.
+        assert replace(proven, starves=was).accepted(solved(1), STEP, anew=False, agreed=agreed).starves == was
+        # Nor does what may be background.
+        still = [replace(a, moved=0) for a in agreed]
+        assert replace(begun(), starves=was).accepted(solved(1), STEP, anew=True, agreed=still).starves == was
 
 
 def test_an_anchor_ages_until_a_frame_has_features_of_its_own() -> None:

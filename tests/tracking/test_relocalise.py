@@ -6,18 +6,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.features.sift import Features, detect
+from sylpose.features.sift import ALL_FEATURES, MAX_FEATURES, Features, detect
 from sylpose.landmarks.places import Landmarks, new_landmarks
 from sylpose.landmarks.table import LandmarkTable
-from sylpose.rig import Rig
+from sylpose.numerics.arrays import Image
+from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, chamfered_box, demo_scene
 from sylpose.tracking.frame import CameraFrame, SolvedFrame
 from sylpose.tracking.keyframes import viewpoints
-from sylpose.tracking.relocalise import NEAREST, OTHERS, pose_of, recognised, to_try
+from sylpose.tracking.relocalise import LOOSE_RATIO, NEAREST, OTHERS, RATIO, pose_of, recognised, to_try
 from tests.clips import SIZE, Clip, Images, moving_scene, surface_points, turned
 
 # Turns of the keyframes, and where the object is by then.
@@ -47,13 +49,14 @@ def relocalise(
     last: Keyframe,
     radius: float,
     missed: int,
+    ratio: float = RATIO,
 ) -> RigidTransform | None:
     """As the tracker does it: each camera recognises landmarks of its keyframes, all together find the pose."""
     solved, by_number = [k.solved for k in keyframes], {k.solved.number: k.cameras for k in keyframes}
     records = []
     for c in range(len(rig)):
         tried = to_try(solved, c, last.solved, missed)
-        records.append(recognised([by_number[k.number][c] for k in tried], current[c], radius))
+        records.append(recognised([by_number[k.number][c] for k in tried], current[c], radius, ratio))
     return pose_of(rig, records)
 
 
@@ -69,12 +72,16 @@ def keyframes(clip: Clip) -> list[Keyframe]:
     return [keyframe(clip, k) for k in range(len(TURNS))]
 
 
-def keyframe(clip: Clip, k: int, sd: float = 0.02 * RADIUS) -> Keyframe:
+def found_in(image: Image, camera: Camera, faint: bool) -> Features:
+    return detect(image, camera, None, ALL_FEATURES if faint else MAX_FEATURES, faint=faint)
+
+
+def keyframe(clip: Clip, k: int, sd: float = 0.02 * RADIUS, *, faint: bool = False) -> Keyframe:
     """A frame with the features of the object and their true places, said to be good to sd."""
     pose = clip.truth.world_from_object[k]
     kept, landmarks = [], []
     for camera, image in zip(clip.rig, clip.images[k], strict=True):
-        features = detect(image, camera)
+        features = found_in(image, camera, faint)
         places = surface_points(camera, features.normalized, pose, clip.truth.vertices)
         on_it = np.isfinite(places[:, 0])
         distance = np.linalg.norm(places[on_it] - pose.inv().apply(camera.center), axis=1)
@@ -96,10 +103,11 @@ def solved(rig: Rig, number: int, pose: RigidTransform, cameras: list[CameraFram
     return Keyframe(SolvedFrame(number, number / 30, late, pose, covariance, viewpoints(rig, pose), sees), cameras)
 
 
-def seen(rig: Rig, images: Images) -> list[CameraFrame]:
+def seen(rig: Rig, images: Images, *, faint: bool = False) -> list[CameraFrame]:
     """What the cameras have of a frame, with all that is to be seen in it."""
     features = [
-        Features.none() if image is None else detect(image, camera) for camera, image in zip(rig, images, strict=True)
+        Features.none() if image is None else found_in(image, camera, faint)
+        for camera, image in zip(rig, images, strict=True)
     ]
     return [CameraFrame(f, np.zeros(len(f), bool), LandmarkTable()) for f in features]
 
@@ -141,6 +149,28 @@ def others(path_of: Sequence[RigidTransform], seed: int) -> Clip:
     scene = demo_scene(frames=1, size=SIZE, n_cameras=N_CAMERAS)
     actors = (Actor(body, lambda frame: path_of[round(frame)]),)
     return Clip.render(replace(scene, actors=actors, frames=len(path_of)))
+
+
+@pytest.mark.parametrize(("texels", "turn"), [(4.5, 45.0), (6.0, 35.0)])
+def test_blurred_paint_is_found_again_where_looks_need_not_be_as_much_alike(texels: float, turn: float) -> None:
+    poses = [turned(0), turned(turn, [0.1, 0.05, 0])]
+    scene = moving_scene(lambda frame: poses[round(frame)], 2, n_cameras=N_CAMERAS)
+    body, path = scene.actors[0].body, scene.actors[0].path
+    soft = tuple(np.asarray(cv2.GaussianBlur(t, (0, 0), texels), np.uint8) for t in body.textures)
+    clip = Clip.render(replace(scene, actors=(Actor(replace(body, textures=soft), path),)))
+    first, current = keyframe(clip, 0, faint=True), seen(clip.rig, clip.images[1], faint=True)
+    assert relocalise(clip.rig, [first], current, first, RADIUS, 0) is None
+    found = relocalise(clip.rig, [first], current, first, RADIUS, 0, LOOSE_RATIO)
+    assert errors(found, clip.truth.world_from_object[1])[0] < 1.5
+
+
+def test_it_is_not_found_where_it_is_not_by_all_that_is_somewhat_alike(clip: Clip) -> None:
+    known = [keyframe(clip, k, faint=True) for k in range(len(TURNS))]
+    for seed in (11, 12, 13):
+        other = others([turned(0), turned(24, [0.1, 0, 0])], seed)
+        for images in other.images:
+            current = seen(clip.rig, images, faint=True)
+            assert relocalise(clip.rig, known, current, known[0], RADIUS, 0, LOOSE_RATIO) is None
 
 
 def test_it_is_not_found_where_it_is_not(clip: Clip, keyframes: list[Keyframe]) -> None:

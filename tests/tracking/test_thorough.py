@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from sylpose.features.sift import Features
+from sylpose.features.sift import Features, detect
 from sylpose.frames import FrameSet
 from sylpose.landmarks.places import new_landmarks
 from sylpose.landmarks.table import LandmarkTable
@@ -15,6 +16,8 @@ from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera
 from sylpose.simulate import Actor, Scene, TexturedBody
+from sylpose.tracking import camera as camera_module
+from sylpose.tracking import joint as joint_module
 from sylpose.tracking import phases
 from sylpose.tracking.frame import CameraFrame, Pair, without_background
 from sylpose.tracking.tracker import track
@@ -59,10 +62,33 @@ def test_pale_paint(pale: Clip) -> None:
     assert errors(tracked, pale.truth)[:, 0].max() < 2.0
 
 
-def test_the_usual_way_does_not_find_it(pale: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_usual_way_finds_it_by_faint_features_alone(pale: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(phases, "searched", lambda _team, joint, *_: (joint, None))
     tracked = list(track(pale.frames(), pale.rig, pale.boxes, features="sift"))
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
+    assert errors(tracked, pale.truth)[:, 0].max() < 2.0
+    monkeypatch.setattr(phases, "FEW_AT_FIRST", 0)
+    monkeypatch.setattr(joint_module, "STARVES", 0)
+    tracked = list(track(pale.frames(), pale.rig, pale.boxes, features="sift"))
     assert statuses(tracked).count(FrameStatus.TRACKED) < FRAMES - 1
+
+
+@pytest.mark.parametrize(("contrast", "faint"), [(1.0, False), (PALE, True)])
+def test_faint_features_are_asked_for_where_there_is_little_else(
+    contrast: float, faint: bool, pale: Clip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rich object does not pay for them."""
+    asked: list[bool] = []
+
+    def spied(*args: Any, **kwargs: Any) -> Features:
+        asked.append(kwargs["faint"])
+        return detect(*args, **kwargs)
+
+    monkeypatch.setattr(camera_module, "detect", spied)
+    clip = pale if contrast == PALE else jumping(8.0)
+    list(track(clip.frames(), clip.rig, clip.boxes, features="sift"))
+    assert any(asked) == faint
+    assert all(asked[-N_CAMERAS:]) == faint
 
 
 def test_no_pose_where_it_is_not(pale: Clip) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -29,6 +29,10 @@ __all__ = [
 # A crop is padded by this: the object's region has a margin of its own, and SIFT's time is that of its area.
 CROP_MARGIN_PX = 8
 MAX_FEATURES = 1000
+# Least contrast: OpenCV compares it with so many times a keypoint's response (derived: its layers per octave). Lower than
+# Lowe's 0.04: on plain objects there is little else to go by, and what is not the object's motion is rejected
+# later (choice).
+CONTRAST, RESPONSES = 0.02, 3.0
 # Where these are not enough, everything that can be found: so many, with so little contrast, and along edges too.
 ALL_FEATURES, FAINT_CONTRAST, FAINT_EDGE = 4000, 0.005, 20.0
 # Keypoints nearer to each other than this, pixels, are at the same place.
@@ -50,18 +54,24 @@ class Features:
         pixels: (n, 2) in the image as recorded.
         normalized: (n, 2) the same points undistorted.
         descriptors: (n, 128) float32 RootSIFT, unit length.
+        faint: (n,) which have so little contrast that they are only found where they are asked for; none, if not said.
     """
 
     pixels: FloatArray
     normalized: FloatArray
     descriptors: NDArray[np.float32]
+    faint: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
+
+    def __post_init__(self) -> None:
+        if not len(self.faint):
+            object.__setattr__(self, "faint", np.zeros(len(self.pixels), bool))
 
     def __len__(self) -> int:
         return len(self.pixels)
 
     def subset(self, index: IntArray | BoolArray) -> Features:
         """The keypoints that a mask or an index array picks."""
-        return Features(self.pixels[index], self.normalized[index], self.descriptors[index])
+        return Features(self.pixels[index], self.normalized[index], self.descriptors[index], self.faint[index])
 
     @classmethod
     def concatenate(cls, parts: Sequence[Features]) -> Features:
@@ -71,6 +81,7 @@ class Features:
             np.concatenate([p.pixels for p in parts]),
             np.concatenate([p.normalized for p in parts]),
             np.concatenate([p.descriptors for p in parts]),
+            np.concatenate([p.faint for p in parts]),
         )
 
     @classmethod
@@ -109,10 +120,8 @@ def detect(
         crop_mask = mask[top:bottom, left:right].astype(np.uint8) * 255
     crop = image[top:bottom, left:right]
     grey = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY) if crop.ndim == 3 else np.ascontiguousarray(crop)
-    # A lower contrast threshold than Lowe's 0.04: on plain objects there is little else to go by, and what is not the
-    # object's motion is rejected later.
     limits = (
-        {"contrastThreshold": FAINT_CONTRAST, "edgeThreshold": FAINT_EDGE} if faint else {"contrastThreshold": 0.02}
+        {"contrastThreshold": FAINT_CONTRAST, "edgeThreshold": FAINT_EDGE} if faint else {"contrastThreshold": CONTRAST}
     )
     sift = _cv2.SIFT_create(nfeatures=max_features, **limits)
     keypoints, descriptors = sift.detectAndCompute(grey, crop_mask)
@@ -120,7 +129,8 @@ def detect(
         return Features.none()
     pixels = _cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + np.array([left, top]) - SIFT_BIAS_PX
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
-    return Features(pixels, camera.normalize_to_grid(pixels), root.astype(np.float32))
+    responses = np.array([keypoint.response for keypoint in keypoints])
+    return Features(pixels, camera.normalize_to_grid(pixels), root.astype(np.float32), RESPONSES * responses < CONTRAST)
 
 
 def match_features(a: Features, b: Features, ratio: float = 0.8, max_shift_px: float = np.inf) -> IntArray:

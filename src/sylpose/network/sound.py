@@ -34,7 +34,7 @@ WIDEST = 100.0
 COUNTS = (Following, Moved, Middle, Ages, Chance, Known, Agreed, Seen, Sighted, Judges)
 # But for places and images; what is NaN where nothing is known of it (derived).
 SIGNED = {"term", "sights", "ages", "image", "place"}
-UNKNOWN = {"jitter_px", "middle_px", "moved_px", "depth_sd", "residual_px"}
+UNKNOWN = {"jitter_px", "middle_px", "moved_px", "depth_sd", "residual_px", "noise_px"}
 
 
 def objection(told: object, camera: int) -> str | None:
@@ -59,7 +59,9 @@ def _is_sound(one: object, camera: int) -> bool:
         case Known():
             return _is_sound(one.sights, camera)
         case Agreed():
-            return _is_sound(one.ages, camera) and len(one.references) == len(one.weights)
+            return (
+                _is_sound(one.ages, camera) and len(one.references) == len(one.weights) and one.strong <= one.features
+            )
         case Ages():
             return bool(one.counts.sum() < MOST)
         case Judges():

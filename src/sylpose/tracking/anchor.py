@@ -222,7 +222,8 @@ def follow(
         column, row = np.round(tracks.pixels[rows]).astype(np.int64).T
         rows = rows[mask[row, column]]
     pixels = tracks.pixels[rows]
-    features = Features(pixels, camera.normalize_to_grid(pixels), anchor.frame.features.descriptors[rows])
+    old = anchor.frame.features
+    features = Features(pixels, camera.normalize_to_grid(pixels), old.descriptors[rows], old.faint[rows])
     return Followed(anchor, rows, features, anchor.tracks.pixels[rows], tracks, image)
 
 

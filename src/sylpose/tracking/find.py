@@ -15,9 +15,10 @@ from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.landmarks.places import Landmarks
 from sylpose.landmarks.table import LandmarkTable
-from sylpose.numerics.arrays import IntArray
+from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.matrices import covariance_of
 from sylpose.numerics.rigid import turn_between, turn_of
+from sylpose.numerics.robust import SIGMA_OF_MEDIAN
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.anchor import FEATURES as ANCHOR_FEATURES
@@ -29,7 +30,7 @@ from sylpose.tracking.frame_solvers import Agreement, Problem, Solution
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import references_of, viewpoints
 from sylpose.tracking.records import Ages, Agreed, Following, Recognised
-from sylpose.tracking.relocalise import pose_of, recognised, to_try
+from sylpose.tracking.relocalise import LOOSE_RATIO, RATIO, pose_of, recognised, to_try
 from sylpose.tracking.team import Region, Team
 from sylpose.two_frames.motion import motion_about
 
@@ -41,6 +42,7 @@ __all__ = [
     "is_the_same",
     "looked_for",
     "matched",
+    "noise_of",
     "on_the_move",
     "recognised_anywhere",
     "solved_from",
@@ -138,7 +140,8 @@ def looked_for(
     regions: Sequence[Region],
     followed: Sequence[Followed] | None,
 ) -> list[Features]:
-    """By camera, each its own: the features in the object's regions, after those that were followed.
+    """By camera, each its own: the features in the object's regions, after those that were followed; faint ones too, where
+    the others hardly suffice.
 
     Args:
         ahead: world_from_object as predicted.
@@ -147,7 +150,7 @@ def looked_for(
     most = (
         (KLT_FEATURES, ANCHOR_FEATURES) if team.follows and not is_fast(joint, ahead) else (MAX_FEATURES, MAX_FEATURES)
     )
-    detected = team.detect(frames, regions, most[0])
+    detected = team.detect(frames, regions, most[0], faint=joint.starves)
     if followed is None:
         return detected
     return team.crew.each(
@@ -294,6 +297,8 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
         tried_moved=_different(tried[every.moved]),
         residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
         sees=len(current.features) > 0,
+        strong=_different(indices[~current.features.faint[indices]]),
+        noise_px=noise_of(np.sqrt(squares)),
         moving=_different(indices[moves]),
     )
 
@@ -308,17 +313,25 @@ def _different(features: IntArray) -> int:
     return int(np.count_nonzero(np.bincount(features)))
 
 
-def recognised_anywhere(team: Team, joint: Joint, frame: Frame) -> RigidTransform | None:
+def noise_of(off: FloatArray) -> float:
+    """Standard deviation of what agrees, by how far it is off (n,): the root of the mean square, or by the median where
+    that is less, since a few of many faint features may be far off; NaN without any."""
+    return float(min(np.sqrt(np.mean(off**2)), SIGMA_OF_MEDIAN * np.median(np.abs(off)))) if len(off) else np.nan
+
+
+def recognised_anywhere(team: Team, joint: Joint, frame: Frame, *, faint: bool = False) -> RigidTransform | None:
     """world_from_object by the keyframes' landmarks alone, wherever the object is; None if it is not found.
 
     Args:
         frame: with the features of the whole images.
+        faint: whether these are all that there are, and need not be as much alike.
     """
+    ratio = LOOSE_RATIO if faint else RATIO
 
     def of(c: int) -> Recognised:
         part = team.parts[c]
         tried = to_try(joint.keyframes, c, joint.base, joint.missed)
-        return recognised([part.frames[k.number] for k in tried], frame.cameras[c], joint.object.radius)
+        return recognised([part.frames[k.number] for k in tried], frame.cameras[c], joint.object.radius, ratio)
 
     found = team.crew.each(of, long=True)
     return pose_of(team.rig, team.crew.ask(lambda c: found[c], Recognised.none()))

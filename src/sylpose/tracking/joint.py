@@ -31,6 +31,9 @@ __all__ = ["MIN_MOVED", "Joint", "Nudge", "Refinement", "covariance_with_referen
 MAX_COASTING, COASTING_TURN, COASTING_SHIFT = 15, UNCERTAIN_TURN, 1.0
 # Frames besides the keyframes that are refined with them (choice).
 RECENT = 8
+# Where fewer features of the usual contrast than this agreed with the last pose, in the mean over the cameras, faint ones
+# are asked for as well: board4, rich enough, has 90 and more (measured: benchmarks/kinds.py, faint) (choice).
+STARVES = 60
 # A pose is the object's, and not the background's, when so many of the features that agree with it have moved with it, and
 # this share of them (choice).
 MIN_MOVED, MOVED_SHARE = 8, 0.04
@@ -100,6 +103,7 @@ class Joint:
             better, since they are found by the same landmarks. None before any was.
         together: the frame after which frames were last refined together, as it was then; None before.
         pending: frames that are being refined together.
+        starves: whether features of the usual contrast hardly suffice to track it.
         told: by camera, what it has told of the frames that are known; nothing before the first refinement, and where it is
             forgotten, by all, it is told again.
     """
@@ -123,6 +127,7 @@ class Joint:
     renewal: int | None = None
     pending: Refinement | None = None
     told: tuple[Seen, ...] = ()
+    starves: bool = False
 
     @property
     def base(self) -> SolvedFrame:
@@ -161,9 +166,12 @@ class Joint:
         if not self.lost:
             elapsed = solved.time - self.base.time
             velocity = velocity.learnt(motion, self.base.world_from_object.translation, elapsed)
+        strong, proven = sum(a.strong for a in agreed), self.proven_by(agreed)
         return replace(
             self,
             last=solved,
+            # What is followed from an anchor are some features of many; until it has moved all may be background.
+            starves=strong < STARVES * len(agreed) if anew and proven and agreed else self.starves,
             keyframes=with_keyframe(self.keyframes, solved) if anew else self.keyframes,
             recent=(*self.recent, solved)[-RECENT:],
             anchor=None if anew or self.anchor is None else replace(self.anchor, age=self.anchor.age + 1),
@@ -172,7 +180,7 @@ class Joint:
             missed=0,
             seen_again=0,
             lost=False,
-            proven=self.proven_by(agreed),
+            proven=proven,
             only_still=False,
         )
 

@@ -62,6 +62,9 @@ AMBIGUOUS = (
     "Without boxes, what moves most is tracked; something else moved nearly as much. Boxes or masks of the object would "
     "tell which of the two it is."
 )
+# Where boxes have fewer features than this in their middle, of half their width and height, in the mean over the cameras,
+# faint ones are asked for as well: at the rim most may be background (choice).
+MIDDLE, FEW_AT_FIRST = 0.5, 60
 # Features per camera while the object may be anywhere in the image (choice).
 START_FEATURES = 4000
 
@@ -196,7 +199,7 @@ def _found_anywhere(team: Team, joint: Joint, number: int, frames: FrameSet) -> 
     """The frame's pose, wherever the object is in the images: by the strongest features, or by all."""
     for faint in (False, True):
         features = team.detect(frames, None, MAX_FEATURES, faint=faint)
-        pose = recognised_anywhere(team, joint, team.frame(number, frames, features))
+        pose = recognised_anywhere(team, joint, team.frame(number, frames, features), faint=faint)
         if pose is not None:
             joint, found = _confirmed(team, joint, number, frames, features, pose)
             # Where it was seen, but not well enough, it is waited for.
@@ -234,10 +237,13 @@ def start(
     if model.center is not None:
         regions = regions_of(team, joint, RigidTransform.from_translation(model.center))
         features = team.detect(frames, regions, MAX_FEATURES)
-        if sum(team.crew.ask(lambda c: len(features[c]), 0)) < MIN_MATCHES:
+        middle = sum(team.crew.ask(lambda c: _in_the_middle(team, c, features[c], regions[c]), 0))
+        joint = replace(joint, starves=middle < FEW_AT_FIRST * len(team.rig))
+        seen = team.detect(frames, regions, faint=True) if joint.starves else features
+        if sum(team.crew.ask(lambda c: len(seen[c]), 0)) < MIN_MATCHES:
             return joint, [], [unsolved_frame(frames, FrameStatus.TOO_FEW_MATCHES, regions, model.radius)]
-        around = team.detect(frames, regions, MAX_FEATURES, around=True)
-        frame = team.frame(number, frames, features)
+        around = team.detect(frames, regions, MAX_FEATURES, around=True, faint=joint.starves)
+        frame = team.frame(number, frames, seen)
         joint, first = accept_first(team, joint, frames, frame, around, model.center, regions)
         return joint, [], [first]
     features = team.detect(frames, None, START_FEATURES)
@@ -261,6 +267,14 @@ def start(
     # What the others have moved by since then is not known.
     others = [waited._replace(motion=None) for waited in waiting[1:]]
     return joint, others, [unsolved_frame(waiting[0].frames, status)]
+
+
+def _in_the_middle(team: Team, c: int, features: Features, region: Region) -> int:
+    """How many of a camera's features are in the middle of the object's region."""
+    if region is None:
+        return 0
+    middle = region.mean(axis=0)
+    return int(team.parts[c].inside(features, middle + MIDDLE * (region - middle)).sum())
 
 
 def finish(team: Team, waiting: Sequence[Waiting]) -> list[TrackedFrame]:

@@ -182,6 +182,8 @@ class Agreed:
         moving: number of features that are inliers and do not stand still.
         residual_px: the rms of their residuals, NaN without any.
         sees: whether the frame has any feature of this camera.
+        strong: number of features that are inliers and not faint.
+        noise_px: standard deviation of the inliers' residuals, whatever a few of them are; NaN without any.
     """
 
     matches: int
@@ -195,6 +197,8 @@ class Agreed:
     residual_px: float
     sees: bool
     moving: int = 0
+    strong: int = 0
+    noise_px: float = np.nan
 
     @classmethod
     def none(cls) -> Agreed:

@@ -15,7 +15,7 @@ from sylpose.tracking.frame import CameraFrame, SolvedFrame
 from sylpose.tracking.keyframes import nearest_views
 from sylpose.tracking.records import Recognised
 
-__all__ = ["pose_of", "recognised", "to_try"]
+__all__ = ["LOOSE_RATIO", "RATIO", "pose_of", "recognised", "to_try"]
 
 # Keyframes that each camera's image is compared with: those seen from nearest to where it looked from last, then others
 # from all sides, in turn (choice).
@@ -26,20 +26,26 @@ KNOWN_DEPTH = 0.3
 # makes about twenty; the object itself hundreds (measured: tests/tracking/test_relocalise.py) (choice).
 MIN_INLIERS = 24
 MAX_ERROR_PX = 8.0
+# Largest ratio of descriptors' distances to the best and the second best: as for other matches, and where that has found
+# nothing. The pose is searched among them, and half of them may be wrong (measured: benchmarks/features.py) (choice).
+RATIO, LOOSE_RATIO = 0.8, 0.9
 
 
-def recognised(keyframes: Sequence[CameraFrame], current: CameraFrame, radius: float) -> Recognised:
+def recognised(
+    keyframes: Sequence[CameraFrame], current: CameraFrame, radius: float, ratio: float = RATIO
+) -> Recognised:
     """A camera's features that look like landmarks of its keyframes.
 
     Args:
         current: with the features of the whole image.
         radius: of the object.
+        ratio: see `match_features`.
     """
     points, pixels = [np.empty((0, 3))], [np.empty((0, 2))]
     for keyframe in keyframes:
         features, landmarks = keyframe.features, keyframe.landmarks
         good = (landmarks.depth_sd < KNOWN_DEPTH * radius) & ~keyframe.background
-        index = match_features(features.subset(good), current.features)
+        index = match_features(features.subset(good), current.features, ratio)
         points.append(landmarks.mean[good][index[:, 0]])
         pixels.append(current.features.pixels[index[:, 1]])
     # A feature that several keyframes recognise counts once per landmark place.

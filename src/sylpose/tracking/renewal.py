@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from sylpose.features.klt import advance, begin
-from sylpose.features.sift import Features, detect, match_features, seen_before
+from sylpose.features.sift import ALL_FEATURES, Features, detect, match_features, seen_before
 from sylpose.frames import FrameSet
 from sylpose.landmarks.alignment import stack
 from sylpose.landmarks.camera_terms import camera_terms, own_of
@@ -65,7 +65,9 @@ def begun(team: Team, joint: Joint, frames: FrameSet, found: Found) -> Joint:
         keyframes = references_of(joint.keyframes, c, last.viewpoints[c], last)
         references = {k.number: part.frames[k.number].features for k in keyframes}
         where = _where(found.regions[c], frames.masks[c], part.camera)
-        looking = Later(_looked_for, its.image, part.camera, where, its, part.surroundings, part.still_px, references)
+        looking = Later(
+            _looked_for, its.image, joint.starves, part.camera, where, its, part.surroundings, part.still_px, references
+        )
         part.renewal = Renewal(last.number, its.image, found.rig.cameras[c], len(its), its.rows, looking)
 
     team.crew.each(begin_for)
@@ -81,13 +83,18 @@ def _looked_for(
     image: Image,
     camera: Camera,
     where: BoolArray,
+    faint: bool,
     followed: Followed,
     surroundings: Features,
     still_px: float,
     references: dict[int, Features],
 ) -> tuple[Features, dict[int, IntArray]]:
-    """New features in an area (h, w) of an image, and their matches with those of earlier frames, by number."""
-    detected = detect(image, camera, where, KLT_FEATURES)
+    """New features in an area (h, w) of an image, and their matches with those of earlier frames, by number.
+
+    Args:
+        faint: whether faint ones are asked for.
+    """
+    detected = detect(image, camera, where, ALL_FEATURES if faint else KLT_FEATURES, faint=faint)
     new = with_new(followed, detected, seen_before(detected, surroundings, still_px), FEATURES)
     new = new.subset(np.arange(len(followed), len(new)))
     return new, {number: match_features(features, new) for number, features in references.items()}

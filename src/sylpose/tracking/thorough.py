@@ -140,7 +140,7 @@ def worth(team: Team, joint: Joint, found: Found) -> FloatArray:
     is the same for all poses."""
     pose = found.motion * joint.base.world_from_object
     cutoff = [max(WORTHLESS * team.radius_px(joint, c, pose), WORTHLESS_PX) for c in range(len(team.rig))]
-    noise = np.nan_to_num(np.array([a.residual_px for a in found.agreed]), nan=np.inf)
+    noise = np.nan_to_num(np.array([a.noise_px for a in found.agreed]), nan=np.inf)
     return np.asarray(np.maximum(1.0 - (np.minimum(noise, 1e6) / cutoff) ** 2, 0.0) ** 2)
 
 
