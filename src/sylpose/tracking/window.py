@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.adjustment.bundle import Bundled, Observations
 from sylpose.adjustment.sized import SMALL_TURN, bundle_sized, length_is_open
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.results import Status
+from sylpose.results import UNCERTAIN_TURN, Status
 from sylpose.tracking.far_frames import another_path
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.joint import Joint
@@ -78,7 +78,8 @@ def refined(team: Team, joint: Joint) -> Joint:
         joint = replace(joint, object=replace(joint.object, guessed=False))
     # What is seen in boxes may be the mirror image of a turn, and settle there as well.
     if not settled or joint.object.guessed:
-        if not bundled.tied[at]:
+        unknown = np.sqrt(np.diag(bundled.covariance[at])[:3].max()) > UNCERTAIN_TURN
+        if not bundled.tied[at] or unknown:  # it has no opinion
             return joint
         # Two ways of using the same matches: a pose is no better known than they agree on it.
         doubted = replace(last, covariance=at_least(last.covariance, bundled.covariance[at]) + np.outer(off, off))
