@@ -19,7 +19,7 @@ from sylpose.adjustment.sized import SMALL_TURN, bundle_sized, length_is_open
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.later import Later
 from sylpose.numerics.rigid import turn_between
-from sylpose.results import Status
+from sylpose.results import UNCERTAIN_TURN, Status
 from sylpose.rig import Rig
 from sylpose.tracking.far_frames import another_path
 from sylpose.tracking.frame import SolvedFrame
@@ -113,7 +113,8 @@ def _applied(team: Team, joint: Joint, pending: Refinement) -> Joint:
     now = joint.known
     # What is seen in boxes may be the mirror image of a turn, and settle there as well.
     if not settled or joint.object.guessed:
-        if not bundled.tied[at]:
+        unknown = np.sqrt(np.diag(bundled.covariance[at])[:3].max()) > UNCERTAIN_TURN
+        if not bundled.tied[at] or unknown:  # it has no opinion
             return joint
         # Two ways of using the same matches: a pose is no better known than they agree on it.
         doubted = at_least(last.covariance, bundled.covariance[at]) + np.outer(off, off)
