@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cache
-from typing import Any, Generic, TypeVar
+from functools import cache, partial
+from typing import Any, Generic, ParamSpec, TypeVar
 
 __all__ = ["Later"]
 
 T = TypeVar("T")
+P = ParamSpec("P")
 
 
 class Later(Generic[T]):
@@ -20,12 +21,12 @@ class Later(Generic[T]):
     Saved and loaded again, it begins anew, and comes to the same.
     """
 
-    def __init__(self, function: Callable[..., T], *arguments: Any) -> None:
-        self._function, self._arguments = function, arguments
-        self._future: Future[T] = _threads(os.getpid()).submit(function, *arguments)
+    def __init__(self, function: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> None:
+        self._do = partial(function, *arguments, **named)
+        self._future: Future[T] = _threads(os.getpid()).submit(self._do)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Later, (self._function, *self._arguments)
+        return Later, (self._do,)
 
     def value(self) -> T:
         """Waits for it. Raises what the function raised."""

@@ -66,7 +66,7 @@ def begun(team: Team, joint: Joint, frames: FrameSet, found: Found) -> Joint:
         references = {k.number: part.frames[k.number].features for k in keyframes}
         where = _where(found.regions[c], frames.masks[c], part.camera)
         looking = Later(
-            _looked_for, its.image, joint.starves, part.camera, where, its, part.surroundings, part.still_px, references
+            _looked_for, its.image, part.camera, where, joint.starves, its, part.surroundings, part.still_px, references
         )
         part.renewal = Renewal(last.number, its.image, found.rig.cameras[c], len(its), its.rows, looking)
 
