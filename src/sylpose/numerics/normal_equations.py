@@ -7,12 +7,12 @@ simple, and are turned into the world's, Q of camera_from_world, once they are s
 from __future__ import annotations
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import cholesky, kernel
+from sylpose.numerics.compiled import cholesky, leaf
 
 __all__ = ["add_turned", "eliminate", "image_row", "turn_rows"]
 
 
-@kernel
+@leaf
 def eliminate(block: FloatArray, coupled: FloatArray, kept: FloatArray) -> bool:
     """Takes the k unknowns z out of normal equations [A C'; C B] (x, z) = (a, b) of n others x: the Schur complement.
 
@@ -27,49 +27,57 @@ def eliminate(block: FloatArray, coupled: FloatArray, kept: FloatArray) -> bool:
     if not cholesky(block):
         return False
     k, columns = coupled.shape
+    # Row by row, so that the processor works on several columns at once.
     for i in range(k):
+        row, per = coupled[i], 1.0 / block[i, i]
+        for m in range(i):
+            factor, other = block[i, m], coupled[m]
+            for j in range(columns):
+                row[j] -= factor * other[j]
         for j in range(columns):
-            s = coupled[i, j]
-            for m in range(i):
-                s -= block[i, m] * coupled[m, j]
-            coupled[i, j] = s / block[i, i]
+            row[j] *= per
     # With C and b divided by the factor, what goes is their product with themselves.
     for i in range(columns - 1):
-        for j in range(columns):
-            s = kept[i, j]
-            for m in range(k):
-                s -= coupled[m, i] * coupled[m, j]
-            kept[i, j] = s
+        row = kept[i]
+        for m in range(k):
+            factor, other = coupled[m, i], coupled[m]
+            for j in range(columns):
+                row[j] -= factor * other[j]
     for i in range(k - 1, -1, -1):
+        row, per = coupled[i], 1.0 / block[i, i]
+        for m in range(i + 1, k):
+            factor, other = block[m, i], coupled[m]
+            for j in range(columns):
+                row[j] -= factor * other[j]
         for j in range(columns):
-            s = coupled[i, j]
-            for m in range(i + 1, k):
-                s -= block[m, i] * coupled[m, j]
-            coupled[i, j] = s / block[i, i]
+            row[j] *= per
     return True
 
 
-@kernel
+@leaf
 def add_turned(lower: FloatArray, q: FloatArray, total: FloatArray) -> None:
     """Adds a form in (w, d), its lower triangle (6, 6) in a camera's axes, to total (6, 6 at least) in the world's: both
     halves turn with Q (3, 3)."""
-    half = lower[:6, :6].copy()
-    for i in range(6):
-        for j in range(i):
-            half[j, i] = half[i, j]
-    for h in range(2):
-        for i in range(6):
-            x, y, z = half[i, 3 * h], half[i, 3 * h + 1], half[i, 3 * h + 2]
-            for j in range(3):
-                half[i, 3 * h + j] = x * q[0, j] + y * q[1, j] + z * q[2, j]
-    for h in range(2):
-        for j in range(6):
-            x, y, z = half[3 * h, j], half[3 * h + 1, j], half[3 * h + 2, j]
+    for half in range(3):
+        # The block of w, that of d, and the one between them, of which the other side is the transpose.
+        h, g = (3 if half > 0 else 0), (3 if half == 1 else 0)
+        b00, b10, b11 = lower[h, g], lower[h + 1, g], lower[h + 1, g + 1]
+        b20, b21, b22 = lower[h + 2, g], lower[h + 2, g + 1], lower[h + 2, g + 2]
+        b01, b02, b12 = b10, b20, b21
+        if half == 2:
+            b01, b02, b12 = lower[h, g + 1], lower[h, g + 2], lower[h + 1, g + 2]
+        for j in range(3):
+            x = b00 * q[0, j] + b01 * q[1, j] + b02 * q[2, j]
+            y = b10 * q[0, j] + b11 * q[1, j] + b12 * q[2, j]
+            z = b20 * q[0, j] + b21 * q[1, j] + b22 * q[2, j]
             for i in range(3):
-                total[3 * h + i, j] += x * q[0, i] + y * q[1, i] + z * q[2, i]
+                value = x * q[0, i] + y * q[1, i] + z * q[2, i]
+                total[h + i, g + j] += value
+                if half == 2:
+                    total[g + j, h + i] += value
 
 
-@kernel
+@leaf
 def turn_rows(rows: FloatArray, q: FloatArray, out: FloatArray) -> None:
     """out (k, 6 at least): rows (k, 6) by (w, d) of a camera's axes, by those of the world's."""
     for k in range(rows.shape[0]):
@@ -79,7 +87,7 @@ def turn_rows(rows: FloatArray, q: FloatArray, out: FloatArray) -> None:
                 out[k, 3 * h + j] = x * q[0, j] + y * q[1, j] + z * q[2, j]
 
 
-@kernel
+@leaf
 def image_row(
     n0: float,
     n1: float,

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import kernel
-from sylpose.two_frames.terms import SURFACE, Stack
+from sylpose.numerics.compiled import kernel, leaf
+from sylpose.two_frames.terms import SURFACE
 
 __all__ = [
     "ACROSS",
@@ -20,6 +20,7 @@ __all__ = [
     "BY_LANE",
     "LANES",
     "PART",
+    "Place",
     "Tolerance",
     "add_missing",
     "add_noise",
@@ -52,10 +53,18 @@ class Tolerance(NamedTuple):
     cutoff: float
 
 
-@kernel
+class Place(NamedTuple):
+    """Where a term's surface is anchored (`Stack`): the inverse depth of g, one over the spread, and its image."""
+
+    unit: float
+    per_spread: float
+    anchor0: float
+    anchor1: float
+
+
+@leaf
 def miss_by(
-    stack: Stack,
-    t: int,
+    place: Place,
     surface: FloatArray,
     tolerance: Tolerance,
     rc: FloatArray,
@@ -65,8 +74,7 @@ def miss_by(
 ) -> None:
     """By how much some matches miss, and what they say of (w, d, α): all lanes (`BY_LANE`) from the first five."""
     variance, relief, shared_relief, cutoff = tolerance
-    unit, per_spread = stack.inverse_depth[t], 1.0 / stack.spread[t]
-    anchor0, anchor1 = stack.anchor[t, 0], stack.anchor[t, 1]
+    unit, per_spread, anchor0, anchor1 = place
     a0, a1, a2, a3, a4, a5 = surface[0], surface[1], surface[2], surface[3], surface[4], surface[5]
     r00, r01, r02 = rc[0, 0], rc[0, 1], rc[0, 2]
     r10, r11, r12 = rc[1, 0], rc[1, 1], rc[1, 2]
@@ -153,7 +161,7 @@ def miss_by(
         lanes[19 * LANES + k] = told * np.sqrt(variance * noise_b) * (per_length if seen else 0.0)
 
 
-@kernel
+@leaf
 def add_products(lanes: FloatArray, first: int, size: int, weight: int, weighted: FloatArray, sums: FloatArray) -> None:
     """Adds the weighted products of all pairs of so many rows, the lower triangle, to sums (size, size, LANES / 4).
 
@@ -171,13 +179,13 @@ def add_products(lanes: FloatArray, first: int, size: int, weight: int, weighted
                 )
 
 
-@kernel
+@leaf
 def total(parts: FloatArray) -> float:
     """Of the parts of a sum."""
     return float(((parts[0] + parts[4]) + (parts[1] + parts[5])) + ((parts[2] + parts[6]) + (parts[3] + parts[7])))
 
 
-@kernel
+@leaf
 def add_stretch(lanes: FloatArray, some: int, turned: FloatArray, unit: float, stretch: FloatArray) -> float:
     """Adds W Jρ² ∂log|Jρ| by (w, d) of some matches to stretch (6,); returns W Jρ²."""
     h0, h1, h2, all_of_them = 0.0, 0.0, 0.0, 0.0

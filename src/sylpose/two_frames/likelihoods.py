@@ -10,7 +10,7 @@ import numpy as np
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
 from sylpose.two_frames.match_cost import Tolerance, distances, match_equations, no_equations, no_matched
-from sylpose.two_frames.reweight import CUTOFF, GAIN, INDEPENDENT, Reweighted, reduce_term, surface_prior
+from sylpose.two_frames.reweight import CUTOFF, GAIN, INDEPENDENT, Reweighted, make_room, reduce_term, surface_prior
 from sylpose.two_frames.terms import SURFACE, Stack
 
 __all__ = ["WRONG", "anywhere", "cost_of", "going", "missing"]
@@ -56,13 +56,15 @@ def missing(stack: Stack, found: Reweighted, moving: FloatArray) -> FloatArray:
     n_matches, total = len(stack.x), np.zeros((7, 7))
     out, right, gain, prior = np.zeros((6, 6)), np.zeros(7), np.zeros((SURFACE, 8)), np.zeros((SURFACE, SURFACE))
     matches, equations, turned = no_matched(n_matches), no_equations(False, True), np.zeros((6, 6))
+    room = make_room()
     for t in range(len(stack.focal)):
         mass = found.weights[stack.offsets[t] : stack.offsets[t + 1]].sum()
         shared = found.relief[t] * np.sqrt(max(1.0, mass / INDEPENDENT))
         tolerance = Tolerance((found.sigma_px[t] / stack.focal[t]) ** 2, found.relief[t], shared, CUTOFF)
         match_equations(stack, t, moving, found.candidate, tolerance, matches, equations)
         surface_prior(stack, t, found.candidate.surface[t], found.place[0], prior)
-        if not reduce_term(stack, t, found.candidate.surface[t], found.place[0], prior, equations, total, right, gain):
+        surface = found.candidate.surface[t]
+        if not reduce_term(stack, t, surface, found.place[0], prior, equations, total, right, gain, room):
             continue
         # Motion and surface, (12,), per unit of motion in world axes.
         turned[:3, :3] = turned[3:, 3:] = stack.qy[t]

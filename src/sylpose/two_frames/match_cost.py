@@ -22,13 +22,14 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.compiled import kernel
+from sylpose.numerics.compiled import kernel, leaf
 from sylpose.two_frames.lanes import (
     ACROSS,
     ALONG,
     BY_LANE,
     LANES,
     PART,
+    Place,
     Tolerance,
     add_missing,
     add_noise,
@@ -139,39 +140,60 @@ def distances(
     """The part of `match_equations` that says where the matches of term t are."""
     rc, tc, turned, lanes = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(BY_LANE * LANES)
     view_of(stack, t, candidate, rc, tc, turned)
-    for start in range(stack.offsets[t], stack.offsets[t + 1], LANES):
-        _some_matches(stack, t, start, usable, candidate, tolerance, lanes, rc, tc, turned, matches)
+    place, surface = _place(stack, t), candidate.surface[t]
+    first, last = stack.offsets[t], stack.offsets[t + 1]
+    for start in range(first, last, LANES):
+        some = min(LANES, last - start)
+        _some_matches(stack.x, stack.y, usable, start, some, place, surface, tolerance, lanes, rc, tc, turned, matches)
 
 
-@kernel
+@leaf
+def _place(stack: Stack, t: int) -> Place:
+    """Of term t."""
+    return Place(stack.inverse_depth[t], 1.0 / stack.spread[t], stack.anchor[t, 0], stack.anchor[t, 1])
+
+
+@leaf
+def _copy(lanes: FloatArray, lane: int, to: FloatArray) -> None:
+    """One of the lanes, as far as there are matches."""
+    for k in range(len(to)):
+        to[k] = lanes[lane * LANES + k]
+
+
+@leaf
 def _some_matches(
-    stack: Stack,
-    t: int,
-    start: int,
+    x: FloatArray,
+    y: FloatArray,
     usable: Usable,
-    candidate: Candidate,
+    start: int,
+    some: int,
+    place: Place,
+    surface: FloatArray,
     tolerance: Tolerance,
     lanes: FloatArray,
     rc: FloatArray,
     tc: FloatArray,
     turned: FloatArray,
     matches: Matched,
-) -> int:
-    """The lanes of term t's matches from `start` on, and where they are; returns how many there are."""
-    some = min(LANES, stack.offsets[t + 1] - start)
-    for k in range(LANES):
-        # The last match fills up, without weight.
-        i = start + min(k, some - 1)
-        lanes[k], lanes[LANES + k] = stack.x[i, 0], stack.x[i, 1]
-        lanes[2 * LANES + k], lanes[3 * LANES + k] = stack.y[i, 0], stack.y[i, 1]
-        lanes[4 * LANES + k] = usable[i] if k < some else 0.0
-    miss_by(stack, t, candidate.surface[t], tolerance, rc, tc, turned, lanes)
+) -> None:
+    """The lanes of some matches from `start` on, and where they are."""
+    x, y, may = x[start : start + some], y[start : start + some], usable[start : start + some]
     for k in range(some):
-        i = start + k
-        matches.distance[i], matches.across[i] = lanes[5 * LANES + k], lanes[6 * LANES + k]
-        matches.along[i], matches.parallax[i] = lanes[7 * LANES + k], lanes[8 * LANES + k]
-        matches.weights[i] = lanes[9 * LANES + k]
-    return int(some)
+        lanes[k], lanes[LANES + k] = x[k, 0], x[k, 1]
+        lanes[2 * LANES + k], lanes[3 * LANES + k] = y[k, 0], y[k, 1]
+        lanes[4 * LANES + k] = may[k]
+    # The last match fills up, without weight.
+    for k in range(some, LANES):
+        for j in range(4):
+            lanes[j * LANES + k] = lanes[j * LANES + some - 1]
+        lanes[4 * LANES + k] = 0.0
+    miss_by(place, surface, tolerance, rc, tc, turned, lanes)
+    last = start + some
+    _copy(lanes, 5, matches.distance[start:last])
+    _copy(lanes, 6, matches.across[start:last])
+    _copy(lanes, 7, matches.along[start:last])
+    _copy(lanes, 8, matches.parallax[start:last])
+    _copy(lanes, 9, matches.weights[start:last])
 
 
 @kernel
@@ -204,13 +226,15 @@ def match_equations(
     lanes, weighted = np.empty(BY_LANE * LANES), np.empty(LANES)
     along, across = np.zeros((13, 13, PART)), np.zeros((7, 7, PART))
     first, last = stack.offsets[t], stack.offsets[t + 1]
+    place, surface, unit = _place(stack, t), candidate.surface[t], stack.inverse_depth[t]
     for start in range(first, last, LANES):
-        some = _some_matches(stack, t, start, usable, candidate, tolerance, lanes, rc, tc, turned, matches)
+        some = min(LANES, last - start)
+        _some_matches(stack.x, stack.y, usable, start, some, place, surface, tolerance, lanes, rc, tc, turned, matches)
         add_products(lanes, ALONG, 13, 10, weighted, along)
         add_products(lanes, ACROSS, 7, 11, weighted, across)
-        squares[0] += add_stretch(lanes, some, turned, stack.inverse_depth[t], stretch)
+        squares[0] += add_stretch(lanes, some, turned, unit, stretch)
         if noise.shape[0] > 0:
-            add_noise(lanes, some, tolerance.variance, stack.inverse_depth[t], rc, turned, noise)
+            add_noise(lanes, some, tolerance.variance, unit, rc, turned, noise)
         if missing.shape[0] > 0:
             for k in range(some):
                 if lanes[9 * LANES + k] > 0.0:

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import kernel
+from sylpose.numerics.compiled import kernel, leaf
 from sylpose.two_frames.term_view import Scratch, epipolar_rows, essential, homography, line, look, scratch
 from sylpose.two_frames.terms import Candidate, Stack
 
@@ -72,7 +72,7 @@ class Normal(NamedTuple):
     gradient: FloatArray
 
 
-@kernel
+@leaf
 def _square(m: FloatArray, row: FloatArray) -> float:
     """row' m row, of m (9, 9) symmetric and row (9,)."""
     total = 0.0
@@ -84,7 +84,7 @@ def _square(m: FloatArray, row: FloatArray) -> float:
     return float(total)
 
 
-@kernel
+@leaf
 def _plane_image(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
     """out (9,), whose product with another homography's v is the moment of their e_f in both coordinates f.
 
@@ -100,7 +100,7 @@ def _plane_image(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
         out[i], out[3 + i], out[6 + i] = s0, s1, s2
 
 
-@kernel
+@leaf
 def _epipolar_image(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
     """out (9,) = m v."""
     for i in range(9):
@@ -110,19 +110,19 @@ def _epipolar_image(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
         out[i] = s
 
 
-@kernel
+@leaf
 def _add_squares(
     k: int, rows: FloatArray, image: FloatArray, weight: float, hessian: FloatArray, gradient: FloatArray
 ) -> float:
     """Adds row k's products with those before it, weighted, to the normal equations, row 0 being the residual's and the
     others its derivatives; returns the cost, of row 0."""
     for j in range(k + 1):
-        s = 0.0
-        for i in range(9):
-            s += image[i] * rows[j, i]
-        s *= weight
+        # In parts, which do not wait for each other.
+        s = image[0] * rows[j, 0] + image[1] * rows[j, 1] + image[2] * rows[j, 2]
+        s += image[3] * rows[j, 3] + image[4] * rows[j, 4] + image[5] * rows[j, 5]
+        s = weight * (s + (image[6] * rows[j, 6] + image[7] * rows[j, 7] + image[8] * rows[j, 8]))
         if k == 0:
-            return 0.5 * s
+            return float(0.5 * s)
         if j == 0:
             gradient[k - 1] += s
         else:
@@ -158,7 +158,7 @@ def term_equations(
     return equations_at(stack, sums, t, kappa, candidate.surface[t], at, normal)
 
 
-@kernel
+@leaf
 def term_cost(stack: Stack, sums: Sums, t: int, kappa: float, candidate: Candidate, at: Scratch) -> float:
     """One term's cost, as `term_equations` has it."""
     look(stack, t, candidate, at)
@@ -180,7 +180,7 @@ def term_cost(stack: Stack, sums: Sums, t: int, kappa: float, candidate: Candida
     return cost
 
 
-@kernel
+@leaf
 def _prior(stack: Stack, t: int, surface: FloatArray) -> float:
     """What the departure of α (3,) from its mean costs."""
     cost = 0.0
@@ -190,7 +190,7 @@ def _prior(stack: Stack, t: int, surface: FloatArray) -> float:
     return cost
 
 
-@kernel
+@leaf
 def equations_at(
     stack: Stack, sums: Sums, t: int, kappa: float, surface: FloatArray, at: Scratch, normal: Normal
 ) -> float:
@@ -252,7 +252,7 @@ def along_variance(stack: Stack, sums: Sums, t: int, candidate: Candidate) -> tu
     return along_variance_at(stack, sums, t, at)
 
 
-@kernel
+@leaf
 def along_variance_at(stack: Stack, sums: Sums, t: int, at: Scratch) -> tuple[float, float]:
     """`along_variance` once it was looked there (`look`)."""
     m, variance, rc, tc, plane, row = sums.moments[t], sums.variance[t], at.rc, at.tc, at.plane, at.rows[0]
@@ -287,7 +287,7 @@ def term_misfit(stack: Stack, sums: Sums, t: int, candidate: Candidate) -> float
     return misfit_at(sums, t, at)
 
 
-@kernel
+@leaf
 def misfit_at(sums: Sums, t: int, at: Scratch) -> float:
     """`term_misfit` once it was looked there (`look`)."""
     m = sums.moments[t]

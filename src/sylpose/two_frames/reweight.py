@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.compiled import cholesky_solve, kernel, solve_factored
+from sylpose.numerics.compiled import cholesky_solve, kernel, leaf, total_of
 from sylpose.numerics.normal_equations import add_turned, eliminate, turn_rows
 from sylpose.numerics.robust import bisquare_on_noise
 from sylpose.two_frames.match_cost import Equations, Matched, Tolerance, Usable, match_equations, no_equations
@@ -27,6 +27,7 @@ __all__ = [
     "SETTLED",
     "SIGMA_FLOOR_PX",
     "Reweighted",
+    "make_room",
     "nothing_yet",
     "reduce_term",
     "reweight",
@@ -148,11 +149,12 @@ def reweight(stack: Stack, usable: Usable, fit: Reweighted, least_px: float) -> 
     surface = candidate.surface
     n, n_matches = sigma_px.shape[0], weights.shape[0]
     distance, along, parallax = np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
+    terms = np.empty((2, n_matches))
     matches = Matched(distance, across, along, parallax, weights)
     searching, ending, gains = no_equations(False, False), no_equations(True, False), np.empty((n, SURFACE, 8))
     total, right, step, prior = np.empty((7, 7)), np.empty(7), np.empty(7), np.empty((SURFACE, SURFACE))
     open_prior, open_total = np.empty((SURFACE, SURFACE)), np.empty((7, 7))
-    unused, mass = np.empty(7), np.zeros(n)
+    unused, mass, room = np.empty(7), np.zeros(n), make_room()
     relief[:], place[:] = stack.relief, 0.0
     trusted = np.ones(n, np.bool_)
     bound = max(SIGMA_GROWTH * sigma_px.max(), least_px)
@@ -176,11 +178,11 @@ def reweight(stack: Stack, usable: Usable, fit: Reweighted, least_px: float) -> 
                 for k in range(SURFACE):
                     for j in range(SURFACE):
                         open_prior[k, j] = OPEN_PRIOR * prior[k, j]
-                reduce_term(stack, t, surface[t], place[0], open_prior, equations, open_total, unused, gains[t])
+                reduce_term(stack, t, surface[t], place[0], open_prior, equations, open_total, unused, gains[t], room)
                 add_turned(equations.noise, stack.qy[t], noise)
             if not trusted[t]:
                 gains[t] = 0.0
-            elif not reduce_term(stack, t, surface[t], place[0], prior, equations, total, right, gains[t]):
+            elif not reduce_term(stack, t, surface[t], place[0], prior, equations, total, right, gains[t], room):
                 return count, np.inf, np.inf
         without_depth[:] = open_total[:6, :6]
         for i in range(6):
@@ -223,14 +225,12 @@ def reweight(stack: Stack, usable: Usable, fit: Reweighted, least_px: float) -> 
             length_now = min(length_now, NEARER * abs(surface[t, 0]) / max(abs(nearer), 1e-300))
         take_step(candidate, place, step, gains, length_now)
         for t in range(n):
-            mass[t] = 0.0
-            for i in range(stack.offsets[t], stack.offsets[t + 1]):
-                mass[t] += weights[i]
+            mass[t] = total_of(weights[stack.offsets[t] : stack.offsets[t + 1]])
         if count >= SECOND_ROUND:
             _set_aside(stack, usable, weights, trusted)
-            _scale(stack, weights, across, trusted, sigma_px)
+            _scale(stack, weights, across, trusted, sigma_px, mass, terms[0])
             sigma_px[:] = np.minimum(np.maximum(sigma_px, least_px), bound)
-            _reliefs(stack, weights, along, parallax, sigma_px, relief)
+            _reliefs(stack, weights, along, parallax, sigma_px, relief, terms)
         settled = (count >= MIN_ROUNDS and promise < SETTLED) or count == MAX_ROUNDS
     cost, density = 0.5 * place[0] ** 2, 0.0
     for t in range(n):
@@ -253,7 +253,21 @@ def reweight(stack: Stack, usable: Usable, fit: Reweighted, least_px: float) -> 
     return count, promise, cost
 
 
+class Room(NamedTuple):
+    """For `reduce_term`, taken once for all terms: block, inverse (6, 6), kept (7, 8)."""
+
+    block: FloatArray
+    inverse: FloatArray
+    kept: FloatArray
+
+
 @kernel
+def make_room() -> Room:
+    """Empty."""
+    return Room(np.empty((SURFACE, SURFACE)), np.empty((SURFACE, SURFACE)), np.empty((7, 8)))
+
+
+@leaf
 def reduce_term(
     stack: Stack,
     t: int,
@@ -264,15 +278,19 @@ def reduce_term(
     total: FloatArray,
     right: FloatArray,
     gain: FloatArray,
+    room: Room,
 ) -> bool:
     """Adds term t's equations, its surface eliminated, to total (7, 7) and right (7,), in world axes: of (w, d) and of how
     far away the object is, z, which moves the mean of α by (stack.place[t], 0, ...) z.
 
     gain (6, 8) becomes the surface's answer: α changes by gain[:, 7] - gain[:, :7] (w, d, z).
     """
-    block, column, kept = np.empty((SURFACE, SURFACE)), np.empty(SURFACE), np.zeros((7, 8))
+    block, inverse, kept = room
+    for i in range(7):
+        for j in range(8):
+            kept[i, j] = 0.0
     q, by_place = stack.qy[t], stack.place[t]
-    turn_rows(equations.matrix[6:, :6], q, gain)
+    turn_rows(equations.matrix[SURFACE:], q, gain)
     add_turned(equations.matrix, q, kept)
     kept[6, 6] = by_place * by_place * prior[0, 0]
     for k in range(SURFACE):
@@ -289,11 +307,18 @@ def reduce_term(
     # What the data say of α, as a number of unknowns: trace of block^-1 (block - prior).
     unknowns = float(SURFACE)
     for c in range(SURFACE):
-        for i in range(SURFACE):
-            column[i] = 1.0 if i == c else 0.0
-        solve_factored(block, column)
-        for i in range(SURFACE):
-            unknowns -= column[i] * prior[i, c]
+        # Column c of the factor's inverse, times its own products.
+        for i in range(c, SURFACE):
+            s = 1.0 if i == c else 0.0
+            for k in range(c, i):
+                s -= block[i, k] * inverse[k, c]
+            inverse[i, c] = s / block[i, i]
+    for i in range(SURFACE):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(i, SURFACE):
+                s += inverse[k, i] * inverse[k, j]
+            unknowns -= (1.0 if i == j else 2.0) * s * prior[i, j]
     # The derivative of log det(block) / 2, from the likelihood with α integrated out.
     pull = INTEGRATED * unknowns / max(equations.squares[0], 1e-300)
     for i in range(6):
@@ -307,30 +332,29 @@ def reduce_term(
     return True
 
 
-@kernel
+@leaf
 def surface_prior(stack: Stack, t: int, surface: FloatArray, place: float, prior: FloatArray) -> float:
     """prior (6, 6): information about α; returns what α's departure from its mean costs, the object being at `place`.
 
     Slopes are heavy-tailed (a Cauchy distribution in two dimensions): a plane may be seen at a grazing angle.
     """
-    steep, cost, off = 0.0, 0.0, np.empty(SURFACE)
+    steep, cost, mean, information = 0.0, 0.0, stack.surface_mean[t], stack.surface_information[t]
+    moved = stack.place[t] * place
     for k in range(SURFACE):
-        off[k] = surface[k] - stack.surface_mean[t, k]
-    off[0] -= stack.place[t] * place
-    for k in range(SURFACE):
+        part, off = 0.0, surface[k] - mean[k] - (moved if k == 0 else 0.0)
         for j in range(SURFACE):
-            prior[k, j] = stack.surface_information[t, k, j]
-            part = prior[k, j] * off[k] * off[j]
-            if k == 1 or k == 2:
-                steep += part
-            else:
-                cost += 0.5 * part
+            prior[k, j] = information[k, j]
+            part += prior[k, j] * (surface[j] - mean[j] - (moved if j == 0 else 0.0))
+        if k == 1 or k == 2:
+            steep += part * off
+        else:
+            cost += 0.5 * part * off
     for k in range(1, 3):
         prior[k, k] *= TAIL / (1.0 + steep)
     return float(cost + 0.5 * TAIL * np.log(1.0 + steep))
 
 
-@kernel
+@leaf
 def _reliefs(
     stack: Stack,
     weights: FloatArray,
@@ -338,22 +362,23 @@ def _reliefs(
     parallax: FloatArray,
     sigma_px: FloatArray,
     relief: FloatArray,
+    room: FloatArray,
 ) -> None:
     """relief (T,): ζ by moments, what the squares along the epipolar lines exceed the noise by; drawn towards what is
-    believed of it, where the parallax is too small to tell.
+    believed of it, where the parallax is too small to tell. room (2, N) is lost.
     """
     for t in range(relief.shape[0]):
         variance = (sigma_px[t] / stack.focal[t]) ** 2
-        believed = stack.relief[t] ** 2
-        excess, certainty, mass = 0.0, 0.0, 0.0
-        for i in range(stack.offsets[t], stack.offsets[t + 1]):
-            if weights[i] > 0.0:
-                p2 = parallax[i] ** 2
-                # A normal variable's square scatters by twice the square of its variance.
-                w = weights[i] / (2.0 * (variance + relief[t] ** 2 * p2) ** 2)
-                excess += w * p2 * (along[i] ** 2 / SHRINKAGE - variance)
-                certainty += w * p2 * p2
-                mass += weights[i]
+        believed, square = stack.relief[t] ** 2, relief[t] ** 2
+        first, last = stack.offsets[t], stack.offsets[t + 1]
+        w, p, off, terms = weights[first:last], parallax[first:last], along[first:last], room[:, first:last]
+        for i in range(last - first):
+            # A normal variable's square scatters by twice the square of its variance.
+            p2, some = p[i] * p[i], w[i] > 0.0
+            by = w[i] * p2 / (2.0 * (variance + square * p2) * (variance + square * p2))
+            terms[0, i] = by * (off[i] * off[i] / SHRINKAGE - variance) if some else 0.0
+            terms[1, i] = by * p2
+        excess, certainty, mass = total_of(terms[0]), total_of(terms[1]), total_of(w)
         # The surface's unknowns have taken a share of the squares: all of them at most.
         freedom = max(1.0 - SURFACE / max(mass, float(SURFACE)), LEAST_FREEDOM_ALONG)
         z2 = (excess + 1.0 / believed) / (freedom * certainty + 1.0 / believed**2)
@@ -361,22 +386,35 @@ def _reliefs(
 
 
 @kernel
-def _scale(stack: Stack, weights: FloatArray, across: FloatArray, trusted: BoolArray, sigma_px: FloatArray) -> None:
-    """sigma_px (T,) from the weighted residuals."""
+def _scale(
+    stack: Stack,
+    weights: FloatArray,
+    across: FloatArray,
+    trusted: BoolArray,
+    sigma_px: FloatArray,
+    mass: FloatArray,
+    room: FloatArray,
+) -> None:
+    """sigma_px (T,) from the weighted residuals; mass (T,) are the sums of the weights. room (N,) is lost."""
     n = sigma_px.shape[0]
-    squares, mass, inliers = np.zeros(n), np.zeros(n), 0
+    squares, inliers, rig, all_of_them = np.zeros(n), 0, 0.0, 0.0
     for t in range(n):
-        for i in range(stack.offsets[t], stack.offsets[t + 1]):
-            if weights[i] > 0.0:
-                squares[t] += weights[i] * across[i] * across[i]
-                mass[t] += weights[i]
-                inliers += trusted[t]
-        squares[t] *= stack.focal[t] ** 2 / SHRINKAGE
+        first, last = stack.offsets[t], stack.offsets[t + 1]
+        w, off, terms, some = weights[first:last], across[first:last], room[first:last], 0
+        for i in range(last - first):
+            inside = w[i] > 0.0
+            terms[i] = w[i] * off[i] * off[i] if inside else 0.0
+            some += inside
+        squares[t] = total_of(terms) * stack.focal[t] ** 2 / SHRINKAGE
+        if trusted[t]:
+            inliers += some
+            rig += squares[t]
+            all_of_them += mass[t]
     if inliers == 0:
         return
     # The motion's six unknowns have taken their share of the squares.
     freedom = max(1.0 - 6.0 / inliers, LEAST_FREEDOM)
-    rig = (squares * trusted).sum() / max((mass * trusted).sum(), 1e-12) / freedom
+    rig = rig / max(all_of_them, 1e-12) / freedom
     for t in range(n):
         square = (squares[t] / freedom + RIG_MATCHES * rig) / (mass[t] + RIG_MATCHES)
         sigma_px[t] = np.sqrt(square)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import cholesky_solve, kernel, rotation_of, rotvec_of, turn_by
+from sylpose.numerics.compiled import cholesky_solve, kernel, leaf, rotation_of, rotvec_of, turn_by
 from sylpose.numerics.normal_equations import eliminate
 from sylpose.two_frames.affine_turns import FEW, affine_turns
 from sylpose.two_frames.moments_cost import Normal, Sums, along_variance_at, equations_at, misfit_at, term_cost
@@ -62,7 +62,7 @@ def no_minima(keep: int, terms: int) -> Minima:
     return Minima(np.zeros((keep, 3, 3)), np.zeros((keep, 3)), np.zeros((keep, terms, 3)), np.full(keep, -np.inf))
 
 
-@kernel
+@leaf
 def _reduce(
     normal: Normal,
     t: int,
@@ -360,7 +360,7 @@ def _keep(candidate: Candidate, value: float, minima: Minima) -> None:
     likelihoods[k] = value
 
 
-@kernel
+@leaf
 def _known(candidate: Candidate, minima: Minima) -> int:
     """Which minimum in the list a candidate is; -1 where none."""
     for k in range(minima.likelihoods.shape[0]):
@@ -371,7 +371,7 @@ def _known(candidate: Candidate, minima: Minima) -> int:
     return -1
 
 
-@kernel
+@leaf
 def _same(r1: FloatArray, d1: FloatArray, r2: FloatArray, d2: FloatArray) -> bool:
     """Whether two minima are one."""
     gap = 0.0

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import kernel
+from sylpose.numerics.compiled import kernel, leaf
 from sylpose.two_frames.terms import Candidate, Stack
 
 __all__ = ["Scratch", "epipolar_rows", "essential", "homography", "line", "look", "scratch", "view_of"]
@@ -54,7 +54,7 @@ def scratch() -> Scratch:
     )
 
 
-@kernel
+@leaf
 def view_of(
     stack: Stack,
     t: int,
@@ -78,14 +78,14 @@ def view_of(
             tc[i] += qy[i, j] * (shift[j] - a2[j])
 
 
-@kernel
+@leaf
 def look(stack: Stack, t: int, candidate: Candidate, at: Scratch) -> None:
     """The motion, and the plane, as term t's camera sees them: what the functions `..._at` take."""
     view_of(stack, t, candidate, at.rc, at.tc, at.turned)
     _plane(stack, t, candidate.surface[t], at.plane)
 
 
-@kernel
+@leaf
 def _plane(stack: Stack, t: int, surface: FloatArray, out: FloatArray) -> None:
     """out (3,): ρ = out·(u, v, 1)."""
     unit, anchor, spread = stack.inverse_depth[t], stack.anchor[t], stack.spread[t]
@@ -94,7 +94,7 @@ def _plane(stack: Stack, t: int, surface: FloatArray, out: FloatArray) -> None:
     out[2] = unit * surface[0] - out[0] * anchor[0] - out[1] * anchor[1]
 
 
-@kernel
+@leaf
 def line(rc: FloatArray, tc: FloatArray, plane: FloatArray, u: float, v: float) -> tuple[float, float, float]:
     """By how much, per inverse depth, depth moves the point (u, v) in the image, and the direction."""
     rho = plane[0] * u + plane[1] * v + plane[2]
@@ -108,7 +108,7 @@ def line(rc: FloatArray, tc: FloatArray, plane: FloatArray, u: float, v: float) 
     return 0.0, 1.0, 0.0
 
 
-@kernel
+@leaf
 def homography(at: Scratch, x0: float, x1: float) -> float:
     """The homography R + τ plane'; returns the depth of (x0, x1)."""
     for i in range(3):
@@ -117,7 +117,7 @@ def homography(at: Scratch, x0: float, x1: float) -> float:
     return float(at.h[0, 2, 0] * x0 + at.h[0, 2, 1] * x1 + at.h[0, 2, 2])
 
 
-@kernel
+@leaf
 def essential(at: Scratch) -> None:
     """The essential matrix."""
     rc, tc, e = at.rc, at.tc, at.e
@@ -127,7 +127,7 @@ def essential(at: Scratch) -> None:
         e[0, 2, j] = tc[0] * rc[1, j] - tc[1] * rc[0, j]
 
 
-@kernel
+@leaf
 def epipolar_rows(e: FloatArray, n: int, x0: float, x1: float, y0: float, y1: float, rows: FloatArray) -> float:
     """vec(E) / √g and its derivatives as rows (n, 9); returns g, Sampson's denominator at the mean rays."""
     p0 = e[0, 0, 0] * x0 + e[0, 0, 1] * x1 + e[0, 0, 2]

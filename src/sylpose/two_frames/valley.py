@@ -17,7 +17,7 @@ import numpy as np
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, rotvec_of, solve_factored
 from sylpose.two_frames.match_cost import Matched, Tolerance, Usable, match_equations, no_equations
-from sylpose.two_frames.reweight import CUTOFF, INDEPENDENT, Reweighted, reduce_term, surface_prior
+from sylpose.two_frames.reweight import CUTOFF, INDEPENDENT, Reweighted, make_room, reduce_term, surface_prior
 from sylpose.two_frames.terms import ROUNDING, SURFACE, Candidate, Stack, copy_into, take_step
 
 __all__ = ["bend", "less_certain", "settle_across"]
@@ -138,7 +138,7 @@ def settle_across(
         np.empty(n_matches), np.empty(n_matches), np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
     )
     equations, gains, prior = no_equations(False, False), np.zeros((n, SURFACE, 8)), np.empty((SURFACE, SURFACE))
-    total, right, step = np.empty((7, 7)), np.empty(7), np.zeros(7)
+    total, right, step, room = np.empty((7, 7)), np.empty(7), np.zeros(7), make_room()
     step[:6] = start
     # The surfaces follow in the first step.
     take_step(candidate, place, step, gains, 1.0)
@@ -158,7 +158,9 @@ def settle_across(
             tolerance = Tolerance((found.sigma_px[t] / stack.focal[t]) ** 2, relief, shared, CUTOFF)
             match_equations(stack, t, usable, candidate, tolerance, matches, equations)
             surface_prior(stack, t, candidate.surface[t], place[0], prior)
-            if not reduce_term(stack, t, candidate.surface[t], place[0], prior, equations, total, right, gains[t]):
+            if not reduce_term(
+                stack, t, candidate.surface[t], place[0], prior, equations, total, right, gains[t], room
+            ):
                 return np.inf
         if settled or count == STEPS:
             break
