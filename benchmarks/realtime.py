@@ -1,6 +1,6 @@
 """How fast are frame sets tracked, beside OpenCV's bare followers and detector on the same images?
 
-    python -m benchmarks.realtime [--cameras 4] [--size 640x480] [--frames 240] [--turn 1.0] [--features klt] [--jobs 0]
+    python benchmarks/realtime.py [--cameras 4] [--size 640x480] [--frames 240] [--turn 1.0] [--features klt] [--jobs 0]
 
 Renders a body that turns by so many degrees a frame, tracks it image by image as a live session does, and after each frame
 set lets OpenCV alone do its part on the same images, by as many threads: `calcOpticalFlowPyrLK` with its own defaults

@@ -355,7 +355,6 @@ def _result(
     if pose is not None and origin is not None and status.has_pose:
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = pose.rotation, origin + pose.place - pose.rotation @ center
-        # A rotation to rounding, as the solver keeps it.
         motion = RigidTransform(matrix, normalize=False)
     seen = np.zeros((6, 6)) if seen is None else seen
     return Motion(

@@ -15,7 +15,7 @@ import numpy as np
 
 from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.compiled import kernel
+from sylpose.numerics.compiled import kernel, median_of
 from sylpose.results import Status
 from sylpose.two_frames.fit import MIN_MATCHES, Solve, Solved
 from sylpose.two_frames.leave_out import solved_part
@@ -144,7 +144,7 @@ def _displaced(x: FloatArray, y: FloatArray, mask: BoolArray) -> FloatArray:
         for i in range(n):
             by[i, a] = y[some[i], a] - x[some[i], a]
             column[i] = by[i, a]
-        middle[a] = np.median(column)
+        middle[a] = median_of(column)
     for i in range(n):
         least, nearest = np.inf, i
         for j in range(n):

@@ -37,6 +37,7 @@ class Fit:
             wrongly. The motion is then neither's, and its covariance means nothing.
         cost: negative log-likelihood of the matches, to compare fits of the same ones by.
         standing: the share of the matches that are taken to stand still while the object moves by little.
+        at_ease: whether no camera is strained or was rejected (`strain`); False where that was not asked.
     """
 
     status: Status
@@ -52,10 +53,11 @@ class Fit:
     mixed: bool = False
     cost: float = np.inf
     standing: float = 0.0
+    at_ease: bool = False
 
     def with_matches(self, weights: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> Fit:
         """The same fit, spoken of as one of other terms."""
-        return replace(self, weights=tuple(weights), residuals=tuple(residuals))
+        return replace(self, weights=tuple(weights), residuals=tuple(residuals), at_ease=False)
 
 
 class Solved(NamedTuple):

@@ -13,7 +13,6 @@ Source: the leave-one-out test is Chow's (Econometrica 28, 1960); its use here i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -22,7 +21,6 @@ import numpy as np
 from sylpose.matches import STILL_PX
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.compiled import kernel, symmetric_eigen
 from sylpose.numerics.epipolar import essential, sampson
 from sylpose.paper.bad_cameras import suspect_cameras
 from sylpose.results import Status
@@ -30,18 +28,14 @@ from sylpose.two_frames.fit import Fit, Solve, Solved
 from sylpose.two_frames.looking import another_looks_elsewhere
 from sylpose.two_frames.reweight import SIGMA_FLOOR_PX
 from sylpose.two_frames.solver import FAR_PX
+from sylpose.two_frames.strain import ENOUGH, REJECTED, UNKNOWNS, by_chance, strain, too_much
 from sylpose.two_frames.terms import TermData
 
 __all__ = ["exchanged", "solved_part", "without_faults"]
 
 
-# Unknowns of a hyperplane, and inliers that tell something of it, at least (choice).
-UNKNOWNS, ENOUGH = 4, 8
 # So many cameras are left out at most, and so many of the most strained, those that were rejected first, in turn (choice).
 MOST, TRIED = 8, 8
-# Cameras are asked once one is strained by more than the first, or all together by more than the second: four unknowns each
-# (measured: docs/benchmarks.md#hard-pairs, 3 % of rigs of four without a fault exceed 22).
-STRAINED, STRAINED_TOGETHER = 16.0, 26.0
 # A camera is left out where its own motion and that of the others are so much likelier than a common one: six unknowns
 # (measured: ibid.; without a fault among those asked 23 at most).
 WON = 25.0
@@ -55,8 +49,6 @@ FEW = 4
 PAIRS, EXPLAINED, RATHER = 15, 0.85, 4.0
 # Exchanged videos strain all cameras together by more than this, or have one rejected (measured: ibid., 57 and more).
 TORN = 45.0
-# Two variances are taken for one where their ratio exceeds 1 by no more than this over the root of the number (choice).
-SCATTER = 6.5
 # Where cameras were left out the others are strained by no more, or the reason is another (chi-squared of four: 1 in 60).
 AT_EASE = 12.0
 # A share of a camera's own inliers between these is neither junk nor a wrong calibration: it sees two motions (choice).
@@ -70,9 +62,9 @@ NOISIER = 3.5
 # Matches within the first distance of their epipolar lines, in standard deviations, are more than those between it and the
 # second where only noise put them there; less than such a share of a camera's matches is nothing (choice).
 NEAR, FAR, SHARE = 1.5, 4.5, 0.3
-# A camera of whose matches no more than this share are inliers was rejected as a whole; it is named where so large a share
-# of them are inliers of a motion of its own (choice).
-REJECTED, OWN = 0.2, 0.6
+# A camera that was rejected (`REJECTED`) is named where so large a share of its matches are inliers of a motion of its own
+# (choice).
+OWN = 0.6
 EXCHANGED = "its matches are those of camera {}: the two were exchanged"
 
 
@@ -92,7 +84,7 @@ def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str
     out: list[int] = []
     first = solved
     asked: set[int] = set()
-    if not _disagree(data, solved.fit):
+    if solved.fit.at_ease or not _disagree(data, solved.fit):
         return solved
     junk = solved.fit.status.has_pose and _only_junk(data, solved.fit, solve)
     back = None if junk else exchanged(data, solved, names, solve)
@@ -116,7 +108,7 @@ def without_faults(data: Sequence[TermData], solved: Solved, names: Sequence[str
         else:
             heard[k][:] = False
             out.append(k)
-    if out and not junk and _strains(data, solved.fit).max() > AT_EASE + _chance(len(data)):
+    if out and not junk and _strains(data, solved.fit).max() > AT_EASE + by_chance(len(data)):
         # Leaving out does not explain it: all are heard.
         solved, out = first, []
     if not solved.fit.status.has_pose:
@@ -200,9 +192,7 @@ def _disagree(data: Sequence[TermData], fit: Fit) -> bool:
 
 def _are_strained(data: Sequence[TermData], fit: Fit) -> bool:
     """Whether a camera is, or all are together."""
-    strains, cameras = _strains(data, fit), len(data)
-    together = float(np.maximum(strains, 0.0).sum())
-    return bool(strains.max() >= STRAINED + _chance(cameras)) or together >= STRAINED_TOGETHER * max(cameras / 4.0, 1.0)
+    return bool(too_much(_strains(data, fit)))
 
 
 def _only_junk(data: Sequence[TermData], fit: Fit, solve: Solve) -> bool:
@@ -256,12 +246,7 @@ def _worst(
     told = {i: t.subset(mask) for i, (t, mask) in enumerate(zip(data, heard, strict=True)) if mask.any()}
     if clear and not another_looks_elsewhere(list(told.values()), told[best]):
         return (best, rests[best]), None
-    return None, rests[best] if left.max() <= AT_EASE + _chance(cameras) else None
-
-
-def _chance(cameras: int) -> float:
-    """By how much more the most strained of so many cameras is strained by chance than one of four."""
-    return 2.0 * math.log(max(cameras / 4, 1.0))
+    return None, rests[best] if left.max() <= AT_EASE + by_chance(cameras) else None
 
 
 def _far(term: TermData) -> FloatArray:
@@ -288,52 +273,9 @@ def solved_part(data: Sequence[TermData], heard: Sequence[BoolArray], solve: Sol
 
 
 def _strains(data: Sequence[TermData], fit: Fit) -> FloatArray:
-    """(T,) how much the terms' inliers would rather have a motion of their own: twice the logarithm of the likelihood ratio
-    of their own hyperplane, their noise unknown, to the fit. Below 0 where perspective bends the hyperplane by more than the
-    fit is off; 0 where there are too few inliers.
-    """
-    out = np.zeros(len(data))
-    for k, (term, w, r) in enumerate(zip(data, fit.weights, fit.residuals, strict=True)):
-        count, mass, squares, least, second = _sums(term.x, term.y, w, r)
-        if count >= ENOUGH:
-            # Without parallax both are noise, and the least of them is less than that.
-            own = second if second < (1.0 + SCATTER / math.sqrt(count)) * least else least
-            floor = mass * SIGMA_FLOOR_PX**2
-            out[k] = (count - UNKNOWNS) * math.log(max(squares, floor) / max(term.focal**2 * own, floor))
-    return out
-
-
-@kernel
-def _sums(
-    x: FloatArray, y: FloatArray, weights: FloatArray, residuals: FloatArray
-) -> tuple[int, float, float, float, float]:
-    """Of the inliers their number, weight and squared residuals, and the least two eigenvalues of the scatter of (x, y)."""
-    count, mass, squares = 0, 0.0, 0.0
-    mean, z, joint = np.zeros(4), np.empty(4), np.zeros((4, 4))
-    for i in range(len(weights)):
-        if weights[i] > 0.0:
-            count += 1
-            mass += weights[i]
-            squares += weights[i] * residuals[i] ** 2
-            for a in range(2):
-                mean[a] += weights[i] * x[i, a]
-                mean[2 + a] += weights[i] * y[i, a]
-    if count == 0:
-        return 0, 0.0, 0.0, 0.0, 0.0
-    for a in range(4):
-        mean[a] /= mass
-    for i in range(len(weights)):
-        if weights[i] > 0.0:
-            z[0], z[1], z[2], z[3] = x[i, 0] - mean[0], x[i, 1] - mean[1], y[i, 0] - mean[2], y[i, 1] - mean[3]
-            for a in range(4):
-                for b in range(a + 1):
-                    joint[a, b] += weights[i] * z[a] * z[b]
-    for a in range(4):
-        for b in range(a):
-            joint[b, a] = joint[a, b]
-    values, vectors = np.empty(4), np.empty((4, 4))
-    symmetric_eigen(joint, values, vectors)
-    return count, mass, squares, values[0], values[1]
+    """(T,) `strain` of the terms' inliers."""
+    parts = zip(data, fit.weights, fit.residuals, strict=True)
+    return np.array([strain(term.x, term.y, w, r, term.focal) for term, w, r in parts])
 
 
 def _agreeing(term: TermData, solved: Solved) -> BoolArray:

@@ -10,7 +10,8 @@ import numpy as np
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
 from sylpose.two_frames.match_cost import Tolerance, distances, match_equations, no_equations, no_matched
-from sylpose.two_frames.reweight import CUTOFF, GAIN, INDEPENDENT, Reweighted, make_room, reduce_term, surface_prior
+from sylpose.two_frames.reweight import CUTOFF, GAIN, INDEPENDENT, Reweighted
+from sylpose.two_frames.surface_terms import make_room, reduce_term, surface_prior
 from sylpose.two_frames.terms import SURFACE, Stack
 
 __all__ = ["WRONG", "anywhere", "cost_of", "going", "missing"]

@@ -50,31 +50,43 @@ def alike(stack: Stack, found: Reweighted) -> tuple[float, float, float]:
     square pixels."""
     total, shared, pairs = 0.0, 0.0, 0
     index, nearest, squares = np.empty(COMPARED, np.int64), np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS)
-    u, v, far = np.empty(COMPARED), np.empty(COMPARED), np.empty(COMPARED)
+    u, v = np.empty(COMPARED), np.empty(COMPARED)
     for t in range(stack.focal.shape[0]):
         first, last = stack.offsets[t], stack.offsets[t + 1]
         n, stride = 0, 1 + (last - first) // COMPARED
         for i in range(first, last, stride):
             if found.weights[i] > COUNTS:
-                index[n], u[n], v[n] = i, stack.x[i, 0], stack.x[i, 1]
+                # From left to right, so that neighbours are met first.
+                k = n
+                while k > 0 and u[k - 1] > stack.x[i, 0]:
+                    index[k], u[k], v[k] = index[k - 1], u[k - 1], v[k - 1]
+                    k -= 1
+                index[k], u[k], v[k] = i, stack.x[i, 0], stack.x[i, 1]
                 n += 1
         if n < JUDGED:
             continue
         for k in range(n):
             i = index[k]
             squares[:], nearest[:] = np.inf, i
-            farthest = np.inf
-            for j in range(n):
-                far[j] = (u[k] - u[j]) ** 2 + (v[k] - v[j]) ** 2
-            for j in range(n):
+            left, right = k - 1, k + 1
+            while True:
+                by_left = u[k] - u[left] if left >= 0 else np.inf
+                by_right = u[right] - u[k] if right < n else np.inf
+                j, aside = (left, by_left) if by_left <= by_right else (right, by_right)
+                if not aside * aside < squares[NEIGHBOURS - 1]:
+                    break
+                if j == left:
+                    left -= 1
+                else:
+                    right += 1
+                far = aside * aside + (v[k] - v[j]) ** 2
                 # The same match again tells nothing.
-                if far[j] < farthest and far[j] > 0.0:
+                if far < squares[NEIGHBOURS - 1] and far > 0.0:
                     place = NEIGHBOURS - 1
-                    while place > 0 and far[j] < squares[place - 1]:
+                    while place > 0 and far < squares[place - 1]:
                         squares[place], nearest[place] = squares[place - 1], nearest[place - 1]
                         place -= 1
-                    squares[place], nearest[place] = far[j], index[j]
-                    farthest = squares[NEIGHBOURS - 1]
+                    squares[place], nearest[place] = far, index[j]
             for place in range(NEIGHBOURS):
                 if squares[place] < np.inf:
                     both = found.across[i] * found.across[nearest[place]]
@@ -86,6 +98,7 @@ def alike(stack: Stack, found: Reweighted) -> tuple[float, float, float]:
     return total / pairs, total / np.sqrt(pairs), shared / pairs
 
 
+@kernel
 def is_mixed(correlation: float, deviations: float, covariance: float) -> bool:
     """Whether what neighbours share is more than one motion and noise explain."""
     return bool(deviations > ALIKE and correlation > ALIKE_AT_LEAST and covariance > ALIKE_PX**2)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.numerics.compiled import kernel, symmetric_eigen
+from sylpose.numerics.compiled import kernel, median_of, symmetric_eigen
 
 __all__ = ["ROUNDING", "misplaced", "placed"]
 
@@ -45,10 +45,10 @@ def placed(
         far = np.empty(len(mine))
         for a in range(2):
             far[:] = mine[:, a]
-            anchor[a] = np.median(far)
+            anchor[a] = median_of(far)
         for i in range(len(mine)):
             far[i] = np.sqrt((mine[i, 0] - anchor[0]) ** 2 + (mine[i, 1] - anchor[1]) ** 2)
-        spread[t] = np.median(far)
+        spread[t] = median_of(far)
         length = np.sqrt(anchor[0] ** 2 + anchor[1] ** 2 + 1.0)
         for i in range(3):
             rays[t, i] = (turns[t, 0, i] * anchor[0] + turns[t, 1, i] * anchor[1] + turns[t, 2, i]) / length

@@ -22,7 +22,7 @@ from sylpose.two_frames.reweight import Reweighted
 from sylpose.two_frames.robust_fit import Settled
 from sylpose.two_frames.terms import Stack
 
-__all__ = ["LESS_LIKELY", "Rival", "second_planes", "strongest_rival", "together"]
+__all__ = ["LESS_LIKELY", "Rival", "has_likely", "second_planes", "strongest_rival", "together"]
 
 # Relief, and what of a quadric is no plane, that displaces points by less than this, in standard deviations of their noise,
 # leaves an object flat for all that a camera sees (choice).
@@ -118,6 +118,19 @@ def together(one: Settled, other: Settled) -> Settled:
     return Settled(*(np.concatenate(parts) for parts in zip(one, other, strict=True)))
 
 
+@kernel
+def has_likely(costs: FloatArray, inliers: FloatArray) -> bool:
+    """Whether one of the minima (K,) is nearly as likely as the best."""
+    best, near = 0, 0
+    for k in range(len(costs)):
+        if costs[k] < costs[best]:
+            best = k
+    for k in range(len(costs)):
+        more = max(inliers[best] - inliers[k], 0.0)
+        near += np.isfinite(costs[k]) and costs[k] < costs[best] + LESS_LIKELY + FOR_EACH_MORE * more
+    return near > 1
+
+
 def strongest_rival(found: Reweighted, minima: Settled, information: FloatArray, radius: float) -> Rival | None:
     """The likeliest of the minima that are nearly as likely as what was found and apart from it, far ones first.
 
@@ -125,6 +138,8 @@ def strongest_rival(found: Reweighted, minima: Settled, information: FloatArray,
         information: (6, 6) of what was found.
         radius: of the object.
     """
+    if not has_likely(minima.costs, minima.inliers):
+        return None
     R, d, _ = found.candidate
     turn = np.empty(3)
     rotvec_of(R, turn)
@@ -133,8 +148,6 @@ def strongest_rival(found: Reweighted, minima: Settled, information: FloatArray,
     best_one = int(np.argmin(minima.costs))
     more = np.maximum(minima.inliers[best_one] - minima.inliers, 0.0)
     near = np.isfinite(minima.costs) & (minima.costs < minima.costs[best_one] + LESS_LIKELY + FOR_EACH_MORE * more)
-    if np.count_nonzero(near) < 2:
-        return None
     for k in np.argsort(minima.costs, kind="stable").tolist():
         if not near[k]:
             continue

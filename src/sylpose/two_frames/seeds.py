@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import cholesky_solve, kernel
+from sylpose.numerics.compiled import cholesky_solve, kernel, median_of
 from sylpose.numerics.robust import SIGMA_OF_MEDIAN, bisquare
 
 __all__ = ["hyperplane_inliers"]
@@ -201,7 +201,7 @@ def _drop_far_along(joint: FloatArray, weights: FloatArray, plane: FloatArray) -
                 count += 1
         if count < 8:
             return
-        sigma = SIGMA_OF_MEDIAN * np.median(sizes[:count])
+        sigma = SIGMA_OF_MEDIAN * median_of(sizes[:count])
         for i in range(n):
             kept[i] = 0.0
             if weights[i] > 0.0:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sylpose.matches import STILL_PX
-from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.compiled import kernel, symmetric_eigen
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.compiled import kernel, median_of
 from sylpose.numerics.matrices import forget
 from sylpose.results import Status
+from sylpose.two_frames.checks import check, without
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.likelihoods import missing
-from sylpose.two_frames.mixtures import alike, apart, is_mixed
+from sylpose.two_frames.mixtures import apart
 from sylpose.two_frames.reweight import SIGMA_FLOOR_PX, Reweighted, nothing_yet, reweight
 from sylpose.two_frames.rivals import LESS_LIKELY, second_planes, strongest_rival, together
 from sylpose.two_frames.robust_fit import Settled, fitted
@@ -138,33 +140,36 @@ def _answer(
         usable: (N,) matches that may be inliers.
         larger: by how much the motion may be larger (`hidden`).
     """
-    status = Status.OK if (found.weights > 0).sum() >= MIN_MATCHES else Status.NOT_CONSISTENT
-    rod = rod_axis(stack, found)
+    checks = check(stack, found, having, radius, minima.costs, minima.inliers)
+    status = Status.OK if checks.inliers >= MIN_MATCHES else Status.NOT_CONSISTENT
+    rod = rod_axis(stack, found) if checks.lined else None
     if status is Status.OK and rod is not None:
-        found, promise = _least_turned(stack, having, found, rod, float(minima.costs.min())) or (found, promise)
-    (rotation, shift, _), _, weights, across, information, without_depth, noise, _, _ = found
+        again = _least_turned(stack, having, found, rod, float(minima.costs.min()))
+        if again is not None:
+            found, promise = again
+            checks = check(stack, found, having, radius, minima.costs, minima.inliers)
+    (rotation, shift, _), _, weights, across, information, *_ = found
     # About a rod the solver circles: that is no failure.
     if status is Status.OK and not ((promise < CONVERGED or rod is not None) and np.isfinite(information).all()):
         status = Status.NOT_CONVERGED
     if status is not Status.OK:
         return no_fit(data, status)
-    # σ is estimated: the covariance is that of Student's distribution.
-    freedom = int((weights > 0).sum()) - 6
-    known = max(freedom - 2, 1) / freedom
-    bent = bend(stack, having, found, radius)
-    both = [known * _without(part, noise, 2.0) for part in (information, without_depth)]
-    if ((having > 0.0) & (having < 1.0)).any():
-        lost = known * missing(stack, found, having)
-        both = [_without(part, lost, 1.0) for part in both]
-    information, without_depth = (less_certain(part, bent) for part in both)
+    information, without_depth, still = checks.information, checks.without_depth, checks.still
+    if checks.bent or checks.parted:
+        bent = bend(stack, having, found, radius)
+        if checks.parted:
+            lost = checks.known * missing(stack, found, having)
+            information, without_depth = without(information, lost, 1.0), without(without_depth, lost, 1.0)
+        information, without_depth = less_certain(information, bent), less_certain(without_depth, bent)
+        still = stands_still(stack, found, information)
     other = None
-    if stands_still(stack, found, information):
+    if still:
         if some_move(stack, usable, found) or strongest_rival(found, minima, information, radius) is not None:
             return no_fit(data, Status.MOSTLY_STILL)
         status, rotation, shift, larger = Status.NO_MOTION, np.eye(3), np.zeros(3), LARGER[-1]
     elif larger >= HARDLY:
         return no_fit(data, Status.MOSTLY_STILL)
-    elif rod is None:
+    elif rod is None and checks.rivalled:
         rival = strongest_rival(found, minima, information, radius)
         if rival is not None and rival.far:
             other = (rival.rotation, rival.shift)
@@ -181,15 +186,22 @@ def _answer(
         status,
         rotation,
         shift,
-        tuple(np.split(weights * (having > 0.5), stack.offsets[1:-1])),
-        tuple(np.split(across, stack.offsets[1:-1])),
+        _split(weights * (having > 0.5) if checks.parted else weights, stack.offsets),
+        _split(across, stack.offsets),
         information,
         without_depth,
         0,
         other=other,
-        mixed=is_mixed(*alike(stack, found)),
+        mixed=checks.mixed,
         cost=float(minima.costs.min()),
+        at_ease=checks.at_ease and not checks.parted,
     )
+
+
+def _split(values: FloatArray, offsets: IntArray) -> tuple[FloatArray, ...]:
+    """Of each term."""
+    ends = offsets.tolist()
+    return tuple(values[first:last] for first, last in pairwise(ends))
 
 
 def _least_turned(
@@ -209,55 +221,6 @@ def _least_turned(
 
 
 @kernel
-def _without(information: FloatArray, part: FloatArray, power: float) -> FloatArray:
-    """Information (6, 6) less a part (6, 6) that tells nothing.
-
-    With both as quadratic forms in axes where the information is the identity: 1 - ν of each axis is left, to the power.
-    Of what noise put there the second: the sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A trace always stays.
-    """
-    n, largest = information.shape[0], 0.0
-    for i in range(n):
-        largest = max(largest, information[i, i])
-    if not largest > 1e-100:
-        return information.copy()
-    unit, values = np.empty(n), np.empty(n)
-    scaled, vectors, axes = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
-    for i in range(n):
-        unit[i] = 1.0 / np.sqrt(max(information[i, i], 1e-12 * largest))
-    for i in range(n):
-        for j in range(n):
-            scaled[i, j] = information[i, j] * unit[i] * unit[j]
-    symmetric_eigen(scaled, values, vectors)
-    root = np.sqrt(np.maximum(values, 1e-14 * values[n - 1]))
-    # The part in axes where the information is the identity.
-    for i in range(n):
-        for k in range(n):
-            axes[i, k] = 0.0
-            for j in range(n):
-                axes[i, k] += part[i, j] * unit[j] * vectors[j, k] / root[k]
-    for k in range(n):
-        for m in range(n):
-            scaled[k, m] = 0.0
-            for i in range(n):
-                scaled[k, m] += unit[i] * vectors[i, k] / root[k] * axes[i, m]
-    symmetric_eigen(scaled, values, axes)
-    half, out = np.empty((n, n)), np.empty((n, n))
-    for m in range(n):
-        left = min(max(1.0 - values[m], 1e-3), 1.0) ** (0.5 * power)
-        for i in range(n):
-            half[i, m] = 0.0
-            for k in range(n):
-                half[i, m] += vectors[i, k] * root[k] / unit[i] * axes[k, m] * left
-    for i in range(n):
-        for j in range(i + 1):
-            out[i, j] = 0.0
-            for m in range(n):
-                out[i, j] += half[i, m] * half[j, m]
-            out[j, i] = out[i, j]
-    return out
-
-
-@kernel
 def _not_background(stack: Stack, usable: BoolArray) -> None:
     """usable (N,): matches that may lie on the object. In a camera that sees it move by far, what stands still does not."""
     for t in range(stack.focal.shape[0]):
@@ -270,5 +233,5 @@ def _not_background(stack: Stack, usable: BoolArray) -> None:
             if usable[i]:
                 moving[count] = far
                 count += 1
-        if count == 0 or np.median(moving[:count]) <= FAR_PX:
+        if count == 0 or median_of(moving[:count]) <= FAR_PX:
             usable[first:last] = True

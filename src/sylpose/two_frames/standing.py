@@ -155,9 +155,9 @@ def hidden(stack: Stack, usable: BoolArray, one: Reweighted) -> tuple[float, flo
 
     Half of the matches that move by twice as much are the same in the mean, and more scattered.
     """
-    off = _displacements(stack)
-    if not _may_stand(stack, off, usable):
+    if not _may_stand(stack, usable):
         return 1.0, -np.inf
+    off = _displacements(stack)
     larger = nothing_yet(stack)
     larger.sigma_px[:], larger.relief[:] = one.sigma_px, one.relief
     return _larger(stack, usable, one.candidate, larger, _standing(off, float(np.median(one.sigma_px))))
@@ -216,11 +216,23 @@ def _displacements(stack: Stack) -> FloatArray:
     return out
 
 
-def _may_stand(stack: Stack, off: FloatArray, usable: BoolArray) -> bool:
+@kernel
+def _may_stand(stack: Stack, usable: BoolArray) -> bool:
     """Whether so many matches have moved by so little that a background may be among them. Of terms with other references
     than the motion's (earlier frames, moved along by what is known) a displacement says nothing of it."""
-    own = np.array_equal(stack.qx, stack.qy) and np.array_equal(stack.a1, stack.a2)
-    return own and bool((usable & (off < QUIET_PX**2)).sum() >= _background(off))
+    quiet = 0
+    for t in range(len(stack.focal)):
+        for i in range(3):
+            if stack.a1[t, i] != stack.a2[t, i]:
+                return False
+            for j in range(3):
+                if stack.qx[t, i, j] != stack.qy[t, i, j]:
+                    return False
+        far = (QUIET_PX / stack.focal[t]) ** 2
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            dx, dy = stack.y[i, 0] - stack.x[i, 0], stack.y[i, 1] - stack.x[i, 1]
+            quiet += usable[i] and dx * dx + dy * dy < far
+    return quiet >= max(MIN_MATCHES, BACKGROUND * len(stack.x))
 
 
 def _background(off: FloatArray) -> float:

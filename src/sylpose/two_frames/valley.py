@@ -17,10 +17,11 @@ import numpy as np
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, rotvec_of, solve_factored
 from sylpose.two_frames.match_cost import Matched, Tolerance, Usable, match_equations, no_equations
-from sylpose.two_frames.reweight import CUTOFF, INDEPENDENT, Reweighted, make_room, reduce_term, surface_prior
+from sylpose.two_frames.reweight import CUTOFF, INDEPENDENT, Reweighted
+from sylpose.two_frames.surface_terms import make_room, reduce_term, surface_prior
 from sylpose.two_frames.terms import ROUNDING, SURFACE, Candidate, Stack, copy_into, take_step
 
-__all__ = ["bend", "less_certain", "settle_across"]
+__all__ = ["bend", "less_certain", "settle_across", "unless_straight"]
 
 # A direction is followed where its variance, over the size of the motion and the least standard deviation, exceeds this: the
 # bend that a valley has whose direction changes by as much as the motion does (choice).
@@ -50,7 +51,7 @@ def bend(stack: Stack, usable: Usable, found: Reweighted, radius: float) -> Floa
         found: what `reweight` came to.
         radius: of the object: a turn moves its surface by radius times angle.
     """
-    size = _unless_straight(found, radius)
+    size = unless_straight(found, radius)
     if not size > 0:
         return np.empty((6, 0))
     scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
@@ -82,7 +83,7 @@ def bend(stack: Stack, usable: Usable, found: Reweighted, radius: float) -> Floa
 
 
 @kernel
-def _unless_straight(found: Reweighted, radius: float) -> float:
+def unless_straight(found: Reweighted, radius: float) -> float:
     """The size of the motion; 0 where no direction can be one that is followed, which is so as a rule: the sum of all
     variances is too small for one of them."""
     scaled, column, variance = np.empty((6, 6)), np.empty(6), 0.0

@@ -18,7 +18,7 @@ from sylpose.two_frames.match_cost import Tolerance, matched
 from sylpose.two_frames.reweight import CUTOFF, Reweighted
 from sylpose.two_frames.terms import Stack
 
-__all__ = ["is_consistent", "judged", "more_than_chance", "observed", "rod_axis", "stands_still", "unseen"]
+__all__ = ["is_consistent", "judged", "more_than_chance", "observed", "on_lines", "rod_axis", "stands_still", "unseen"]
 
 
 # What no motion at all must cost more, of six unknowns, and a turn, of three: below it, there may be none (chi-squared, once
@@ -147,6 +147,7 @@ def is_consistent(stack: Stack, usable: BoolArray, found: Reweighted) -> bool:
     return more_than_chance(inliers, by_chance, 6)
 
 
+@kernel
 def stands_still(stack: Stack, found: Reweighted, information: FloatArray) -> bool:
     """Whether the motion found may be none: it is no further from none than chance takes it, by its own information
     (Wald's test), and none explains the inliers about as well.
@@ -155,14 +156,23 @@ def stands_still(stack: Stack, found: Reweighted, information: FloatArray) -> bo
     matches all the same. Of a match's two coordinates the fit leaves one; the other, along its epipolar line, is counted as
     if it were all noise.
     """
-    motion = np.concatenate([np.empty(3), found.candidate.shift])
+    motion, far = np.empty(6), 0.0
     rotvec_of(found.candidate.rotation, motion[:3])
-    if motion @ information @ motion >= CERTAIN_MOTION:
+    motion[3:] = found.candidate.shift
+    for i in range(6):
+        for j in range(6):
+            far += motion[i] * information[i, j] * motion[j]
+    if far >= CERTAIN_MOTION:
         return False
-    counts, sigma_px = np.diff(stack.offsets), found.sigma_px
-    stood = 0.5 * ((stack.y - stack.x) ** 2).sum(axis=1) * np.repeat(stack.focal / sigma_px, counts) ** 2
-    moved = (found.across / np.repeat(sigma_px, counts)) ** 2 + 1.0
-    return bool(found.weights @ (stood - moved) < CERTAIN_MOTION)
+    dearer = 0.0
+    for t in range(stack.focal.shape[0]):
+        sigma_px = found.sigma_px[t]
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            dx, dy = stack.y[i, 0] - stack.x[i, 0], stack.y[i, 1] - stack.x[i, 1]
+            stood = 0.5 * (dx * dx + dy * dy) * (stack.focal[t] / sigma_px) ** 2
+            if found.weights[i] > 0.0:
+                dearer += found.weights[i] * (stood - (found.across[i] / sigma_px) ** 2 - 1.0)
+    return dearer < CERTAIN_MOTION
 
 
 def rod_axis(stack: Stack, found: Reweighted) -> FloatArray | None:
@@ -171,13 +181,13 @@ def rod_axis(stack: Stack, found: Reweighted) -> FloatArray | None:
     Noise across the line, with the surface bent to fit it, would pass for structure that shows this turn.
     """
     normals = np.zeros((3, 3))
-    if not _on_lines(stack, found.weights, found.sigma_px, normals):
+    if not on_lines(stack, found.weights, found.sigma_px, normals):
         return None
     return np.concatenate([np.linalg.eigh(normals)[1][:, 0], np.zeros(3)])
 
 
 @kernel
-def _on_lines(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: FloatArray) -> bool:
+def on_lines(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: FloatArray) -> bool:
     """Whether all terms' inliers lie on lines in both images; normals (3, 3) becomes the sum of n n' over the planes through
     the current cameras and those lines.
     """

@@ -1,0 +1,132 @@
+"""What is asked of every fit, in one go: as a rule the answers are the usual ones, and nothing more need be asked."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.compiled import kernel, symmetric_eigen
+from sylpose.two_frames.mixtures import alike, is_mixed
+from sylpose.two_frames.reweight import Reweighted
+from sylpose.two_frames.rivals import has_likely
+from sylpose.two_frames.strain import at_ease
+from sylpose.two_frames.terms import Stack
+from sylpose.two_frames.valley import unless_straight
+from sylpose.two_frames.verdict import on_lines, stands_still
+
+__all__ = ["Checks", "check", "without"]
+
+
+class Checks(NamedTuple):
+    """Of a fit.
+
+    Attributes:
+        inliers: how many.
+        lined: whether they lie on lines (`on_lines`).
+        parted: whether it is not certain of some whether they have the motion.
+        bent: whether the valley of the cost may be (`bend`).
+        still: whether the motion may be none, if the valley is straight (`stands_still`).
+        rivalled: whether another minimum is nearly as likely (`has_likely`).
+        mixed: whether neighbours are off alike (`alike`).
+        at_ease: whether no camera is strained (`strain`).
+        known: the share of the information that is left as noise is estimated, too: the covariance is that of Student's
+            distribution.
+        information, without_depth: (6, 6) that share, less what noise alone puts there.
+    """
+
+    inliers: int
+    lined: bool
+    parted: bool
+    bent: bool
+    still: bool
+    rivalled: bool
+    mixed: bool
+    at_ease: bool
+    known: float
+    information: FloatArray
+    without_depth: FloatArray
+
+
+@kernel
+def check(
+    stack: Stack, found: Reweighted, having: FloatArray, radius: float, costs: FloatArray, counts: FloatArray
+) -> Checks:
+    """Of a fit that was found.
+
+    Args:
+        having: (N,) the probability of each match to have the motion, if it is not wrong.
+        radius: of the object.
+        costs, counts: (K,) of the minima that were refined, and their numbers of inliers.
+    """
+    inliers, parted = 0, False
+    for i in range(len(having)):
+        inliers += found.weights[i] > 0.0
+        parted = parted or (having[i] > 0.0 and having[i] < 1.0)
+    freedom = max(inliers - 6, 1)
+    known = max(freedom - 2, 1) / freedom
+    information = known * without(found.information, found.noise, 2.0)
+    without_depth = known * without(found.without_depth, found.noise, 2.0)
+    return Checks(
+        inliers,
+        on_lines(stack, found.weights, found.sigma_px, np.zeros((3, 3))),
+        parted,
+        unless_straight(found, radius) > 0.0,
+        stands_still(stack, found, information),
+        has_likely(costs, counts),
+        is_mixed(*alike(stack, found)),
+        at_ease(stack.x, stack.y, stack.offsets, found.weights, found.across, stack.focal),
+        known,
+        information,
+        without_depth,
+    )
+
+
+@kernel
+def without(information: FloatArray, part: FloatArray, power: float) -> FloatArray:
+    """Information (6, 6) less a part (6, 6) that tells nothing.
+
+    With both as quadratic forms in axes where the information is the identity: 1 - ν of each axis is left, to the power.
+    Of what noise put there the second: the sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A trace always stays.
+    """
+    n, largest = information.shape[0], 0.0
+    for i in range(n):
+        largest = max(largest, information[i, i])
+    if not largest > 1e-100:
+        return information.copy()
+    unit, values = np.empty(n), np.empty(n)
+    scaled, vectors, axes = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    for i in range(n):
+        unit[i] = 1.0 / np.sqrt(max(information[i, i], 1e-12 * largest))
+    for i in range(n):
+        for j in range(n):
+            scaled[i, j] = information[i, j] * unit[i] * unit[j]
+    symmetric_eigen(scaled, values, vectors)
+    root = np.sqrt(np.maximum(values, 1e-14 * values[n - 1]))
+    # The part in axes where the information is the identity.
+    for i in range(n):
+        for k in range(n):
+            axes[i, k] = 0.0
+            for j in range(n):
+                axes[i, k] += part[i, j] * unit[j] * vectors[j, k] / root[k]
+    for k in range(n):
+        for m in range(n):
+            scaled[k, m] = 0.0
+            for i in range(n):
+                scaled[k, m] += unit[i] * vectors[i, k] / root[k] * axes[i, m]
+    symmetric_eigen(scaled, values, axes)
+    half, out = np.empty((n, n)), np.empty((n, n))
+    for m in range(n):
+        left = min(max(1.0 - values[m], 1e-3), 1.0) ** (0.5 * power)
+        for i in range(n):
+            half[i, m] = 0.0
+            for k in range(n):
+                half[i, m] += vectors[i, k] * root[k] / unit[i] * axes[k, m] * left
+    for i in range(n):
+        for j in range(i + 1):
+            out[i, j] = 0.0
+            for m in range(n):
+                out[i, j] += half[i, m] * half[j, m]
+            out[j, i] = out[i, j]
+    return out
