@@ -64,7 +64,7 @@ AMBIGUOUS = (
 )
 # Where boxes have fewer features than this in their middle, of half their width and height, in the mean over the cameras,
 # faint ones are asked for as well: at the rim most may be background (choice).
-MIDDLE, FEW_AT_FIRST = 0.5, 60
+MIDDLE, FEW_AT_FIRST = 0.5, 40
 # Features per camera while the object may be anywhere in the image (choice).
 START_FEATURES = 4000
 
