@@ -27,8 +27,9 @@ from sylpose.simulate import (
     ring,
     simulate_matches,
 )
+from sylpose.two_frames.descent import log_likelihood, settled
 from sylpose.two_frames.moments_cost import Normal, Sums, along_variance, term_equations
-from sylpose.two_frames.search import log_likelihood, search_all, settled
+from sylpose.two_frames.search import search_all
 from sylpose.two_frames.terms import Candidate, Stack, guesses_of, object_place, stack_terms
 from tests.scenes import BODY, around, carried, data_of, sums_of, truth, turn_between
 

@@ -22,7 +22,7 @@ from sylpose.known_model.pose_noise import (
 )
 from sylpose.known_model.three_rays import three_rays
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.numerics.compiled import cholesky_solve, kernel, turn_by
+from sylpose.numerics.compiled import cholesky_solve, kernel, leaf, turn_by
 from sylpose.numerics.robust import BIQUARTIC_BOUND, biquartic, biquartic_loss
 
 __all__ = ["Views", "fit", "information", "minimize", "score", "search", "squares_of"]
@@ -51,7 +51,21 @@ class Views(NamedTuple):
     shifts: FloatArray
 
 
+class Room(NamedTuple):
+    """For one camera at a time: turn (3, 3) and shift (3,) from the model to it, and a match's two rows (2, 6)."""
+
+    turn: FloatArray
+    shift: FloatArray
+    row: FloatArray
+
+
 @kernel
+def _make_room() -> Room:
+    """Empty."""
+    return Room(np.empty((3, 3)), np.empty(3), np.empty((2, 6)))
+
+
+@leaf
 def _camera_from_model(
     views: Views, c: int, rotation: FloatArray, place: FloatArray, turn: FloatArray, shift: FloatArray
 ) -> None:
@@ -63,7 +77,7 @@ def _camera_from_model(
             turn[i, j] = q[i, 0] * rotation[0, j] + q[i, 1] * rotation[1, j] + q[i, 2] * rotation[2, j]
 
 
-@kernel
+@leaf
 def _seen(views: Views, k: int, turn: FloatArray, shift: FloatArray) -> tuple[float, float, float, float, float]:
     """Match k in its camera: depth, normalised image (2), reprojection error in pixels (2); for positive depths only."""
     x, y, z = views.points[k, 0], views.points[k, 1], views.points[k, 2]
@@ -79,7 +93,12 @@ def _seen(views: Views, k: int, turn: FloatArray, shift: FloatArray) -> tuple[fl
 @kernel
 def squares_of(views: Views, rotation: FloatArray, place: FloatArray, out: FloatArray) -> None:
     """out (n,): squared reprojection errors, pixels; infinite behind a camera."""
-    turn, shift = np.empty((3, 3)), np.empty(3)
+    _squares(views, rotation, place, out, _make_room())
+
+
+@leaf
+def _squares(views: Views, rotation: FloatArray, place: FloatArray, out: FloatArray, room: Room) -> None:
+    turn, shift, _ = room
     for c in range(len(views.turns)):
         _camera_from_model(views, c, rotation, place, turn, shift)
         for k in range(views.start[c], views.start[c + 1]):
@@ -90,7 +109,12 @@ def squares_of(views: Views, rotation: FloatArray, place: FloatArray, out: Float
 @kernel
 def score(views: Views, rotation: FloatArray, place: FloatArray, top: float, bound: float) -> float:
     """Sum over the matches of the loss with the cutoff sqrt(top) pixels, each between 0 and 1; given up beyond `bound`."""
-    turn, shift = np.empty((3, 3)), np.empty(3)
+    return _score(views, rotation, place, top, bound, _make_room())
+
+
+@leaf
+def _score(views: Views, rotation: FloatArray, place: FloatArray, top: float, bound: float, room: Room) -> float:
+    turn, shift, _ = room
     total = 0.0
     for c in range(len(views.turns)):
         _camera_from_model(views, c, rotation, place, turn, shift)
@@ -103,7 +127,7 @@ def score(views: Views, rotation: FloatArray, place: FloatArray, top: float, bou
     return total
 
 
-@kernel
+@leaf
 def _normal_equations(
     views: Views,
     rotation: FloatArray,
@@ -111,13 +135,14 @@ def _normal_equations(
     noise: Noise,
     hessian: FloatArray,
     gradient: FloatArray,
+    room: Room,
 ) -> float:
     """hessian (6, 6) and gradient (6,) by (w, d) of the re-weighted squares in units of their variance, and the loss."""
     for i in range(6):
         gradient[i] = 0.0
         for j in range(6):
             hessian[i, j] = 0.0
-    turn, shift, row = np.empty((3, 3)), np.empty(3), np.empty((2, 6))
+    turn, shift, row = room
     loss = 0.0
     for c in range(len(views.turns)):
         _camera_from_model(views, c, rotation, place, turn, shift)
@@ -156,10 +181,10 @@ def _normal_equations(
     return loss
 
 
-@kernel
-def _loss(views: Views, rotation: FloatArray, place: FloatArray, noise: Noise) -> float:
+@leaf
+def _loss(views: Views, rotation: FloatArray, place: FloatArray, noise: Noise, room: Room) -> float:
     """The loss alone, as `_normal_equations` has it."""
-    turn, shift = np.empty((3, 3)), np.empty(3)
+    turn, shift, _ = room
     loss = 0.0
     for c in range(len(views.turns)):
         _camera_from_model(views, c, rotation, place, turn, shift)
@@ -171,7 +196,7 @@ def _loss(views: Views, rotation: FloatArray, place: FloatArray, noise: Noise) -
     return loss
 
 
-@kernel
+@leaf
 def _copy_pose(rotation: FloatArray, place: FloatArray, to_rotation: FloatArray, to_place: FloatArray) -> None:
     for i in range(3):
         to_place[i] = place[i]
@@ -191,8 +216,8 @@ def minimize(
     hessian, gradient = np.empty((6, 6)), np.empty(6)
     new_hessian, new_gradient = np.empty((6, 6)), np.empty(6)
     new_rotation, new_place = np.empty((3, 3)), np.empty(3)
-    damped, step = np.empty((6, 6)), np.empty(6)
-    loss = _normal_equations(views, rotation, place, noise, hessian, gradient)
+    damped, step, room = np.empty((6, 6)), np.empty(6), _make_room()
+    loss = _normal_equations(views, rotation, place, noise, hessian, gradient, room)
     promised = np.inf
     for step_ in range(steps):
         for i in range(6):
@@ -211,10 +236,10 @@ def minimize(
         for i in range(3):
             new_place[i] = place[i] + step[3 + i]
         if step_ + 1 < steps:
-            new_loss = _normal_equations(views, new_rotation, new_place, noise, new_hessian, new_gradient)
+            new_loss = _normal_equations(views, new_rotation, new_place, noise, new_hessian, new_gradient, room)
         else:
             # No step follows that would need more.
-            new_loss = _loss(views, new_rotation, new_place, noise)
+            new_loss = _loss(views, new_rotation, new_place, noise, room)
         if new_loss <= loss:
             _copy_pose(new_rotation, new_place, rotation, place)
             hessian, new_hessian, gradient, new_gradient = new_hessian, hessian, new_gradient, gradient
@@ -251,10 +276,10 @@ def fit(
     Returns:
         rounds used, degrees of freedom, and whether it settled.
     """
-    damping, freedom, promised, change = 1e-4, 1.0, np.inf, np.inf
+    damping, freedom, promised, change, room = 1e-4, 1.0, np.inf, np.inf, _make_room()
     round_ = 0
     for round_ in range(rounds):
-        squares_of(views, rotation, place, squares)
+        _squares(views, rotation, place, squares, room)
         before = noise.variances[0]
         if round_ < MEDIAN_ROUNDS:
             median, count = median_square(squares, top)
@@ -278,7 +303,7 @@ def fit(
 @kernel
 def information(views: Views, rotation: FloatArray, place: FloatArray, noise: Noise, out: FloatArray) -> None:
     """out (6, 6) becomes the information about (w, d): the inverse of the covariance that these weights have."""
-    _normal_equations(views, rotation, place, noise, out, np.empty(6))
+    _normal_equations(views, rotation, place, noise, out, np.empty(6), _make_room())
     for i in range(6):
         for j in range(6):
             out[i, j] *= GAIN
@@ -305,7 +330,7 @@ def search(
     """
     n, n_cameras, kept = len(views.points), len(views.turns), len(places)
     origins, rays, model = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    found_rotations, found_places = np.empty((8, 3, 3)), np.empty((8, 3))
+    found_rotations, found_places, room = np.empty((8, 3, 3)), np.empty((8, 3)), _make_room()
     noise = Noise(np.full(n_cameras, top / (CUTOFF * CUTOFF)), np.full(n_cameras, top))
     for s in range(len(draws)):
         for i in range(3):
@@ -325,14 +350,14 @@ def search(
                 model[i, j] = views.points[k, j]
         best = -1
         for h in range(three_rays(origins, rays, model, found_rotations, found_places)):
-            value = score(views, found_rotations[h], found_places[h], top, scores[kept])
+            value = _score(views, found_rotations[h], found_places[h], top, scores[kept], room)
             if value < scores[kept]:
                 scores[kept], best = value, h
         if best < 0:
             continue
         rotation, place = found_rotations[best], found_places[best]
         minimize(views, rotation, place, noise, steps, 1e-3)
-        value = score(views, rotation, place, top, scores[kept - 1])
+        value = _score(views, rotation, place, top, scores[kept - 1], room)
         if not value < scores[kept - 1]:
             continue
         at = kept - 1

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.numerics.compiled import kernel
+from sylpose.numerics.compiled import kernel, leaf
 from sylpose.numerics.robust import biquartic, biquartic_on_noise
 
 __all__ = ["CUTOFF", "GAIN", "MEDIAN_SQUARE", "Noise", "measure_noise", "median_square", "set_noise", "weigh"]
@@ -42,7 +42,7 @@ class Noise(NamedTuple):
     tops: FloatArray
 
 
-@kernel
+@leaf
 def median_square(squares: FloatArray, top: float) -> tuple[float, int]:
     """The median of the squares below `top`, to a thousandth, and their number: bisection needs no copy and no sorting."""
     count = 0
@@ -66,7 +66,7 @@ def median_square(squares: FloatArray, top: float) -> tuple[float, int]:
     return high, count
 
 
-@kernel
+@leaf
 def weigh(squares: FloatArray, start: IntArray, noise: Noise, weights: FloatArray) -> None:
     """weights (n,) of squared distances (n,)."""
     for c in range(len(start) - 1):
@@ -74,7 +74,7 @@ def weigh(squares: FloatArray, start: IntArray, noise: Noise, weights: FloatArra
             weights[k] = biquartic(squares[k] / noise.tops[c])
 
 
-@kernel
+@leaf
 def set_noise(noise: Noise, c: int, variance: float, freedom: float, top: float) -> None:
     """Camera c gets a variance, known with so many degrees of freedom, and the cutoff that goes with it."""
     variance = max(variance, ROUNDING_PX * ROUNDING_PX)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import kernel
+from sylpose.numerics.compiled import kernel, leaf
 
 __all__ = ["three_rays"]
 
@@ -18,7 +18,7 @@ ON_LINE = 1e-6
 ROOT_ERROR = 1e-10
 
 
-@kernel
+@leaf
 def _align(points: FloatArray, model: FloatArray, rotation: FloatArray, place: FloatArray, axes: FloatArray) -> None:
     """rotation (3, 3) and place (3,) that bring the triangle model (3, 3) onto the congruent triangle points (3, 3)."""
     for k in range(2):
@@ -46,7 +46,7 @@ def _align(points: FloatArray, model: FloatArray, rotation: FloatArray, place: F
             place[i] += (points[k, i] - turned) / 3.0
 
 
-@kernel
+@leaf
 def _dot(a: FloatArray, b: FloatArray) -> float:
     product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     return product
@@ -60,14 +60,14 @@ def _between(a: FloatArray, b: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
+@leaf
 def _meeting(q: FloatArray, l: float, sign: float) -> float:
     """Where on the other ray a point is at the side's distance from the one at l: before or behind the foot."""
     along: float = q[3] + q[4] * l + sign * np.sqrt(max(q[5] - (q[0] * l * l + 2.0 * q[1] * l + q[2]), 0.0))
     return along
 
 
-@kernel
+@leaf
 def _excess(q: FloatArray, l2: float, l3: float) -> float:
     """How much too long the third side is, squared, between the points at l2 and l3."""
     excess: float = q[0] + l2 * l2 + l3 * l3 + 2.0 * (l2 * q[1] - l3 * q[2] - l2 * l3 * q[3]) - q[4]

@@ -240,14 +240,14 @@ def rotation_of(w: FloatArray, out: FloatArray) -> None:
     out[1, 2], out[2, 1] = c * y * z - s * x, c * y * z + s * x
 
 
-@kernel
+@leaf
 def turn_by(w: FloatArray, rotation: FloatArray, out: FloatArray) -> None:
     """out (3, 3) becomes exp([w]x) rotation; out must not be rotation."""
-    step = np.empty((3, 3))
-    rotation_of(w, step)
+    rotation_of(w, out)
     for i in range(3):
+        x, y, z = out[i, 0], out[i, 1], out[i, 2]
         for j in range(3):
-            out[i, j] = step[i, 0] * rotation[0, j] + step[i, 1] * rotation[1, j] + step[i, 2] * rotation[2, j]
+            out[i, j] = x * rotation[0, j] + y * rotation[1, j] + z * rotation[2, j]
 
 
 @kernel

@@ -6,15 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel, symmetric_eigen
 from sylpose.two_frames.mixtures import alike, is_mixed
 from sylpose.two_frames.reweight import Reweighted
-from sylpose.two_frames.rivals import has_likely
+from sylpose.two_frames.rivals import are_close, has_likely
+from sylpose.two_frames.standing import may_stand
 from sylpose.two_frames.strain import at_ease
 from sylpose.two_frames.terms import Stack
 from sylpose.two_frames.valley import unless_straight
-from sylpose.two_frames.verdict import on_lines, stands_still
+from sylpose.two_frames.verdict import CERTAIN_SHARE, on_lines, stands_still
 
 __all__ = ["Checks", "check", "without"]
 
@@ -24,6 +25,10 @@ class Checks(NamedTuple):
 
     Attributes:
         inliers: how many.
+        finite: whether the search has ended somewhere.
+        certain: whether so many of the matches that may be inliers are not by chance (`is_consistent`).
+        close: whether the cameras are close together (`second_planes`).
+        quiet: whether a background may be among the matches (`hidden`).
         lined: whether they lie on lines (`on_lines`).
         parted: whether it is not certain of some whether they have the motion.
         bent: whether the valley of the cost may be (`bend`).
@@ -37,6 +42,10 @@ class Checks(NamedTuple):
     """
 
     inliers: int
+    finite: bool
+    certain: bool
+    close: bool
+    quiet: bool
     lined: bool
     parted: bool
     bent: bool
@@ -51,17 +60,29 @@ class Checks(NamedTuple):
 
 @kernel
 def check(
-    stack: Stack, found: Reweighted, having: FloatArray, radius: float, costs: FloatArray, counts: FloatArray
+    stack: Stack,
+    usable: BoolArray,
+    found: Reweighted,
+    having: FloatArray,
+    radius: float,
+    costs: FloatArray,
+    counts: FloatArray,
 ) -> Checks:
     """Of a fit that was found.
 
     Args:
+        usable: (N,) matches that may be inliers.
         having: (N,) the probability of each match to have the motion, if it is not wrong.
         radius: of the object.
         costs, counts: (K,) of the minima that were refined, and their numbers of inliers.
     """
-    inliers, parted = 0, False
+    inliers, could, parted, finite = 0, 0, False, True
+    for i in range(6):
+        finite = finite and (i > 2 or np.isfinite(found.candidate.shift[i % 3]))
+        for j in range(6):
+            finite = finite and np.isfinite(found.information[i, j])
     for i in range(len(having)):
+        could += usable[i]
         inliers += found.weights[i] > 0.0
         parted = parted or (having[i] > 0.0 and having[i] < 1.0)
     freedom = max(inliers - 6, 1)
@@ -70,6 +91,10 @@ def check(
     without_depth = known * without(found.without_depth, found.noise, 2.0)
     return Checks(
         inliers,
+        finite,
+        inliers >= CERTAIN_SHARE * could,
+        are_close(stack.a2),
+        may_stand(stack, usable),
         on_lines(stack, found.weights, found.sigma_px, np.zeros((3, 3))),
         parted,
         unless_straight(found, radius) > 0.0,

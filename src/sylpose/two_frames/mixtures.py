@@ -68,25 +68,21 @@ def alike(stack: Stack, found: Reweighted) -> tuple[float, float, float]:
         for k in range(n):
             i = index[k]
             squares[:], nearest[:] = np.inf, i
-            left, right = k - 1, k + 1
-            while True:
-                by_left = u[k] - u[left] if left >= 0 else np.inf
-                by_right = u[right] - u[k] if right < n else np.inf
-                j, aside = (left, by_left) if by_left <= by_right else (right, by_right)
-                if not aside * aside < squares[NEIGHBOURS - 1]:
-                    break
-                if j == left:
-                    left -= 1
-                else:
-                    right += 1
-                far = aside * aside + (v[k] - v[j]) ** 2
-                # The same match again tells nothing.
-                if far < squares[NEIGHBOURS - 1] and far > 0.0:
-                    place = NEIGHBOURS - 1
-                    while place > 0 and far < squares[place - 1]:
-                        squares[place], nearest[place] = squares[place - 1], nearest[place - 1]
-                        place -= 1
-                    squares[place], nearest[place] = far, index[j]
+            for way in range(-1, 2, 2):
+                j = k + way
+                while 0 <= j < n:
+                    aside = (u[k] - u[j]) ** 2
+                    if not aside < squares[NEIGHBOURS - 1]:
+                        break
+                    far = aside + (v[k] - v[j]) ** 2
+                    # The same match again tells nothing.
+                    if far < squares[NEIGHBOURS - 1] and far > 0.0:
+                        place = NEIGHBOURS - 1
+                        while place > 0 and far < squares[place - 1]:
+                            squares[place], nearest[place] = squares[place - 1], nearest[place - 1]
+                            place -= 1
+                        squares[place], nearest[place] = far, index[j]
+                    j += way
             for place in range(NEIGHBOURS):
                 if squares[place] < np.inf:
                     both = found.across[i] * found.across[nearest[place]]

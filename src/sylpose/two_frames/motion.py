@@ -12,7 +12,8 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.matches import Matches
 from sylpose.methods import MOTION_METHODS as METHODS
-from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.compiled import kernel
 from sylpose.numerics.matrices import covariance_of, forget
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig
@@ -20,8 +21,9 @@ from sylpose.two_frames.bodies import larger_body
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, Solved, no_fit
 from sylpose.two_frames.leave_out import without_faults
 from sylpose.two_frames.paper_methods import ESTIMATORS, paper_fit
+from sylpose.two_frames.robust_fit import Seeded
 from sylpose.two_frames.solver import fit_terms
-from sylpose.two_frames.terms import TermData, object_place
+from sylpose.two_frames.terms import TermData, join, object_place
 from sylpose.two_frames.verdict import judged
 
 __all__ = [
@@ -87,17 +89,18 @@ def estimate_motion(
     if sum(len(term) for term in data) < MIN_MATCHES:
         return _motion(rig, matches, data, no_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), method, 1.0)
     given = None if center is None else _place(center, rig, data)
-    rng = np.random.default_rng(seed)
+    rng = Seeded(seed)
 
     def solve(terms: Sequence[TermData], near: Solved | None = None) -> Solved:
-        found_center, found_radius = object_place(terms)
+        joined = join(terms)
+        found_center, found_radius = object_place(terms, joined)
         g = found_center if given is None else given
         guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
         if near is not None:
             turn = near.fit.rotation
             guess.append((turn, near.fit.shift + (turn - np.eye(3)) @ (g - near.center)))
         size = found_radius if radius is None else radius
-        return Solved(fit_terms(terms, g, size, guess, rng), g, size)
+        return Solved(fit_terms(terms, g, size, guess, rng, joined), g, size)
 
     solved, share = larger_body(data, solve(data), solve)
     if share == 0.0 and solved.fit.status is not Status.TOO_FEW_MATCHES:
@@ -159,11 +162,7 @@ def _motion(
     inliers = [np.zeros(len(m), bool) for m in matches]
     residuals = np.full(len(rig), np.nan)
     for term, w, r in zip(data, fit.weights, fit.residuals, strict=True):
-        agree = w > 0
-        inliers[term.camera] = agree
-        count = np.count_nonzero(agree)
-        if count > 0:
-            residuals[term.camera] = np.sqrt(np.dot(r * agree, r) / count)
+        residuals[term.camera] = _rms(w, r, inliers[term.camera])
     fit, open_ = judged(fit, radius)
     guess = fit.status.has_pose or len(open_) > 0
     if fit.status.has_pose and fit.status is not Status.NO_MOTION and (fit.mixed or fit.other is not None):
@@ -189,6 +188,18 @@ def _motion(
         second=second,
         standing=fit.standing,
     )
+
+
+@kernel
+def _rms(weights: FloatArray, residuals: FloatArray, agree: BoolArray) -> float:
+    """Of the residuals of the inliers, NaN without any; agree (n,) becomes which they are."""
+    count, squares = 0, 0.0
+    for i in range(len(weights)):
+        agree[i] = weights[i] > 0.0
+        if agree[i]:
+            count += 1
+            squares += residuals[i] * residuals[i]
+    return float(np.sqrt(squares / count)) if count > 0 else np.nan
 
 
 def _place(center: ArrayLike, rig: Rig, data: Sequence[TermData]) -> FloatArray:

@@ -22,7 +22,7 @@ from sylpose.two_frames.reweight import Reweighted
 from sylpose.two_frames.robust_fit import Settled
 from sylpose.two_frames.terms import Stack
 
-__all__ = ["LESS_LIKELY", "Rival", "has_likely", "second_planes", "strongest_rival", "together"]
+__all__ = ["LESS_LIKELY", "Rival", "are_close", "has_likely", "second_planes", "strongest_rival", "together"]
 
 # Relief, and what of a quadric is no plane, that displaces points by less than this, in standard deviations of their noise,
 # leaves an object flat for all that a camera sees (choice).
@@ -57,9 +57,7 @@ class Rival(NamedTuple):
 
 
 def second_planes(stack: Stack, found: Reweighted) -> list[tuple[FloatArray, FloatArray]]:
-    """Motions (R, d) of the second plane of each camera; none where the object is not flat, or its cameras not close."""
-    if _concentration(stack.a2) < CLOSE:
-        return []
+    """Motions (R, d) of the second plane of each camera, which are close together; none where the object is not flat."""
     R, d, surface = found.candidate
     out: list[tuple[FloatArray, FloatArray]] = []
     for t in range(len(stack.focal)):
@@ -81,14 +79,14 @@ def second_planes(stack: Stack, found: Reweighted) -> list[tuple[FloatArray, Flo
 
 
 @kernel
-def _concentration(places: FloatArray) -> float:
-    """The length of the mean of the directions towards places (n, 3)."""
+def are_close(places: FloatArray) -> bool:
+    """Whether cameras at places (T, 3), relative to the object, are close together."""
     mean = np.zeros(3)
     for t in range(len(places)):
         length = np.sqrt(places[t, 0] ** 2 + places[t, 1] ** 2 + places[t, 2] ** 2)
         for k in range(3):
             mean[k] += places[t, k] / (max(length, 1e-300) * len(places))
-    return float(np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2))
+    return bool(np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2) >= CLOSE)
 
 
 def _other_plane(H: FloatArray, normal: FloatArray, anchor: FloatArray) -> tuple[FloatArray, FloatArray] | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import lru_cache
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from sylpose.two_frames.search import Minima, no_minima, search
 from sylpose.two_frames.seeds import hyperplane_inliers
 from sylpose.two_frames.terms import Guesses, Stack, copy_into
 
-__all__ = ["KEEP", "Settled", "fitted", "robust_fit"]
+__all__ = ["KEEP", "Seeded", "Settled", "Uniform", "fitted", "robust_fit"]
 
 
 # Quadruples that a term's seeds are drawn with, at most (choice).
@@ -40,6 +41,37 @@ LOOKS, SAME_SHARE = 2, 0.1
 MOST = LOOKS * KEEP
 
 
+class Uniform(Protocol):
+    """Draws numbers in [0, 1)."""
+
+    def random(self, size: tuple[int, int]) -> FloatArray: ...
+
+
+class Seeded:
+    """Quadruples as `np.random.default_rng(seed)` draws them. As a rule the first are all that is asked for, and they are
+    kept: to make a generator takes as long as to lay out all matches."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed, self._drawn = seed, 0
+        self._rng: np.random.Generator | None = None
+
+    def random(self, size: tuple[int, int]) -> FloatArray:
+        """The next ones, (h, 4); not to be written into."""
+        self._drawn += 1
+        if self._drawn == 1:
+            return _first(self._seed, size)
+        if self._rng is None:
+            self._rng = np.random.default_rng(self._seed)
+            self._rng.random(size)
+        return self._rng.random(size)
+
+
+@lru_cache(maxsize=8)
+def _first(seed: int, size: tuple[int, int]) -> FloatArray:
+    """The first numbers that a generator draws."""
+    return np.random.default_rng(seed).random(size)
+
+
 class Settled(NamedTuple):
     """The minima that were refined, of K at most: what one another's rivals are.
 
@@ -57,19 +89,20 @@ class Settled(NamedTuple):
 
 @kernel
 def robust_fit(
-    stack: Stack, usable: FloatArray, picks: FloatArray, guesses: Guesses, fit: Reweighted, found: Settled
-) -> tuple[int, float]:
+    stack: Stack, usable: FloatArray, picks: FloatArray, guesses: Guesses
+) -> tuple[Reweighted, Settled, int, float]:
     """One robust motion: seeds per term, minima of all seeds together, the best of them re-weighted.
 
     Args:
         usable: (N,) 1 for matches that may be inliers, else 0.
         picks: (h, 4) in [0, 1): draw the seeds' quadruples.
-        fit: filled.
-        found: filled.
 
     Returns:
-        iterations of the solver; what its last step promised (`reweight`), infinite where there is no fit.
+        the fit, without inliers where there is none; all minima; iterations of the solver; what its last step promised
+        (`reweight`), infinite where there is no fit.
     """
+    fit = nothing_yet(stack)
+    found = Settled(np.zeros((MOST, 3, 3)), np.zeros((MOST, 3)), np.empty(MOST), np.zeros(MOST))
     n, trial = stack.focal.shape[0], nothing_yet(stack)
     sums, first_sigma = Sums(np.empty((n, 9, 9)), np.empty(n)), np.empty(n)
     _seed(stack, usable, picks, trial.weights, first_sigma)
@@ -110,20 +143,13 @@ def robust_fit(
         for i in range(len(seeds)):
             seeds[i] = 1.0 if fit.weights[i] > 0.0 else 0.0
         sigma_px[:] = fit.sigma_px
-    return iterations, promise
-
-
-def fitted(
-    stack: Stack, usable: BoolArray, guesses: Guesses, rng: np.random.Generator
-) -> tuple[Reweighted, Settled, int, float]:
-    """`robust_fit` with quadruples drawn from rng: the fit, without inliers where there is none, all minima, and what it
-    returns."""
-    fit = nothing_yet(stack)
-    found = Settled(np.zeros((MOST, 3, 3)), np.zeros((MOST, 3)), np.empty(MOST), np.zeros(MOST))
-    # Probabilities, as of a mixture: one compiled version does.
-    some = usable.astype(np.float64)
-    iterations, promise = robust_fit(stack, some, rng.random((QUADRUPLES, 4)), guesses, fit, found)
     return fit, found, iterations, promise
+
+
+def fitted(stack: Stack, usable: BoolArray, guesses: Guesses, rng: Uniform) -> tuple[Reweighted, Settled, int, float]:
+    """`robust_fit` with quadruples drawn from rng."""
+    # Probabilities, as of a mixture: one compiled version does.
+    return robust_fit(stack, usable.astype(np.float64), rng.random((QUADRUPLES, 4)), guesses)
 
 
 @kernel

@@ -14,15 +14,15 @@ from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.compiled import kernel, median_of
 from sylpose.numerics.matrices import forget
 from sylpose.results import Status
-from sylpose.two_frames.checks import check, without
+from sylpose.two_frames.checks import Checks, check, without
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
 from sylpose.two_frames.likelihoods import missing
 from sylpose.two_frames.mixtures import apart
 from sylpose.two_frames.reweight import SIGMA_FLOOR_PX, Reweighted, nothing_yet, reweight
 from sylpose.two_frames.rivals import LESS_LIKELY, second_planes, strongest_rival, together
-from sylpose.two_frames.robust_fit import Settled, fitted
+from sylpose.two_frames.robust_fit import Settled, Uniform, fitted
 from sylpose.two_frames.standing import LARGER, LIKELIER, hidden, parted, some_move
-from sylpose.two_frames.terms import Stack, TermData, copy_into, guesses_of, stack_terms
+from sylpose.two_frames.terms import Joined, Stack, TermData, copy_into, guesses_of, stack_terms
 from sylpose.two_frames.valley import bend, less_certain
 from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
 
@@ -45,7 +45,8 @@ def fit_terms(
     center: FloatArray,
     radius: float,
     guesses: Sequence[Hypothesis],
-    rng: np.random.Generator,
+    rng: Uniform,
+    joined: Joined | None = None,
 ) -> Fit:
     """One robust motion for all terms: per-term RANSAC, minima from several starts, re-weighting.
 
@@ -55,26 +56,26 @@ def fit_terms(
         radius: of the object.
         guesses: (R, d) tried as starts besides the built-in ones.
         rng: seeded.
+        joined: the terms, where that has been done.
     """
     if sum(len(term) for term in data) < MIN_MATCHES:
         return no_fit(data, Status.TOO_FEW_MATCHES)
-    stack = stack_terms(data, center, radius)
+    stack = stack_terms(data, center, radius, joined)
     usable = np.ones(len(stack.x), dtype=bool)
     _not_background(stack, usable)
     found, minima, iterations, promise = fitted(stack, usable, guesses_of(guesses), rng)
-    planes = second_planes(stack, found)
+    every = usable.astype(float)
+    checks = check(stack, usable, found, every, radius, minima.costs, minima.inliers)
+    planes = second_planes(stack, found) if checks.close else []
     if planes:
         again = fitted(stack, usable, guesses_of([*guesses, *planes]), rng)
         iterations += again[2]
         minima, best = together(minima, again[1]), again[1].costs.min() < minima.costs.min()
         found, promise = (again[0], again[3]) if best else (found, promise)
+        checks = check(stack, usable, found, every, radius, minima.costs, minima.inliers)
     # Where the search ended nowhere there is no motion, whatever it left behind.
-    one = (
-        found
-        if np.isfinite(found.candidate.shift).all() and np.isfinite(found.information).all()
-        else nothing_yet(stack)
-    )
-    larger, likelier = hidden(stack, usable, one)
+    one = found if checks.finite else nothing_yet(stack)
+    larger, likelier = hidden(stack, usable, one) if checks.quiet else (1.0, -np.inf)
     part = None
     if likelier > -np.inf and not _all_stand(stack, usable, one):
         part = parted(stack, usable, one, likelier, guesses_of(guesses), rng)
@@ -82,15 +83,16 @@ def fit_terms(
     part = part if part is not None and part.promise < CONVERGED else None
     if part is not None and not part.gain > LIKELIER:
         minima, part = together(minima, part.rivals(float(minima.costs.min()))), None
+        checks = checks._replace(rivalled=True)
     if part is not None:
         standing = float(1.0 - part.moving.mean())
         fit = _answer(data, stack, radius, part.found, part.minima, part.promise, part.moving, usable)
         return replace(
             fit, iterations=int(iterations + part.iterations), standing=standing if fit.status.has_pose else 0.0
         )
-    if not is_consistent(stack, usable, found):
+    if not (checks.certain or is_consistent(stack, usable, found)):
         return no_fit(data, Status.NOT_CONSISTENT)
-    fit = _answer(data, stack, radius, found, minima, promise, usable.astype(float), usable, larger)
+    fit = _answer(data, stack, radius, found, minima, promise, every, usable, larger, checks)
     return replace(fit, iterations=int(iterations))
 
 
@@ -131,6 +133,7 @@ def _answer(
     having: FloatArray,
     usable: BoolArray,
     larger: float = 1.0,
+    checks: Checks | None = None,
 ) -> Fit:
     """What is said of a motion: how certain it is, whether it is one, what else it may be.
 
@@ -139,15 +142,17 @@ def _answer(
         having: (N,) the probability of each match to have the motion, if it is not wrong.
         usable: (N,) matches that may be inliers.
         larger: by how much the motion may be larger (`hidden`).
+        checks: of the fit, where it has been asked.
     """
-    checks = check(stack, found, having, radius, minima.costs, minima.inliers)
+    if checks is None:
+        checks = check(stack, usable, found, having, radius, minima.costs, minima.inliers)
     status = Status.OK if checks.inliers >= MIN_MATCHES else Status.NOT_CONSISTENT
     rod = rod_axis(stack, found) if checks.lined else None
     if status is Status.OK and rod is not None:
         again = _least_turned(stack, having, found, rod, float(minima.costs.min()))
         if again is not None:
             found, promise = again
-            checks = check(stack, found, having, radius, minima.costs, minima.inliers)
+            checks = check(stack, usable, found, having, radius, minima.costs, minima.inliers)
     (rotation, shift, _), _, weights, across, information, *_ = found
     # About a rod the solver circles: that is no failure.
     if status is Status.OK and not ((promise < CONVERGED or rod is not None) and np.isfinite(information).all()):

@@ -19,11 +19,11 @@ from sylpose.numerics.compiled import kernel, rotation_of, rotvec_of
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.likelihoods import WRONG, anywhere, cost_of, going
 from sylpose.two_frames.reweight import Reweighted, nothing_yet, reweight
-from sylpose.two_frames.robust_fit import Settled, fitted
+from sylpose.two_frames.robust_fit import Settled, Uniform, fitted
 from sylpose.two_frames.terms import Candidate, Guesses, Stack, copy_into
 from sylpose.two_frames.verdict import is_consistent
 
-__all__ = ["LARGER", "LIKELIER", "Parted", "hidden", "parted", "some_move"]
+__all__ = ["LARGER", "LIKELIER", "Parted", "hidden", "may_stand", "parted", "some_move"]
 
 # Of what has moved by a little, in units of noise, between these squares, chance has no more than this share and so many
 # (chi-squared of two degrees of freedom: 1 %, and three times it; choice).
@@ -106,7 +106,7 @@ def parted(
     one: Reweighted,
     likelier: float,
     guesses: Guesses,
-    rng: np.random.Generator,
+    rng: Uniform,
 ) -> Parted | None:
     """A motion of some of the matches while others stand still; None where one motion does for all.
 
@@ -155,8 +155,6 @@ def hidden(stack: Stack, usable: BoolArray, one: Reweighted) -> tuple[float, flo
 
     Half of the matches that move by twice as much are the same in the mean, and more scattered.
     """
-    if not _may_stand(stack, usable):
-        return 1.0, -np.inf
     off = _displacements(stack)
     larger = nothing_yet(stack)
     larger.sigma_px[:], larger.relief[:] = one.sigma_px, one.relief
@@ -217,7 +215,7 @@ def _displacements(stack: Stack) -> FloatArray:
 
 
 @kernel
-def _may_stand(stack: Stack, usable: BoolArray) -> bool:
+def may_stand(stack: Stack, usable: BoolArray) -> bool:
     """Whether so many matches have moved by so little that a background may be among them. Of terms with other references
     than the motion's (earlier frames, moved along by what is known) a displacement says nothing of it."""
     quiet = 0

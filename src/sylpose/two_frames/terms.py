@@ -15,13 +15,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
-from sylpose.numerics.compiled import kernel, turn_by
+from sylpose.numerics.compiled import kernel, leaf, turn_by
 from sylpose.two_frames.place import ROUNDING, misplaced, placed
 
 __all__ = [
@@ -29,10 +30,12 @@ __all__ = [
     "SURFACE",
     "Candidate",
     "Guesses",
+    "Joined",
     "Stack",
     "TermData",
     "copy_into",
     "guesses_of",
+    "join",
     "object_place",
     "stack_terms",
     "take_step",
@@ -175,10 +178,16 @@ class Candidate(NamedTuple):
         return Candidate(self.rotation.copy(), self.shift.copy(), self.surface.copy())
 
 
-@kernel
+@leaf
 def copy_into(to: Candidate, source: Candidate) -> None:
     """to becomes equal to source."""
-    to.rotation[:], to.shift[:], to.surface[:] = source.rotation, source.shift, source.surface
+    for i in range(3):
+        to.shift[i] = source.shift[i]
+        for j in range(3):
+            to.rotation[i, j] = source.rotation[i, j]
+    for t in range(to.surface.shape[0]):
+        for k in range(to.surface.shape[1]):
+            to.surface[t, k] = source.surface[t, k]
 
 
 @kernel
@@ -211,37 +220,70 @@ def guesses_of(motions: Sequence[tuple[FloatArray, FloatArray]]) -> Guesses:
     return Guesses(np.array(rotations, dtype=float).reshape(-1, 3, 3), np.array(shifts, dtype=float).reshape(-1, 3))
 
 
-def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float) -> Stack:
+class Joined(NamedTuple):
+    """What terms are given as, joined: `Stack` has it about the object's centre.
+
+    Attributes:
+        x, y, offsets, qx, qy, focal: as in `Stack`.
+        cx, cy: (T, 3) the cameras' centres in the reference frame and now.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    offsets: IntArray
+    qx: FloatArray
+    qy: FloatArray
+    cx: FloatArray
+    cy: FloatArray
+    focal: FloatArray
+
+
+def join(data: Sequence[TermData]) -> Joined:
+    """Terms, each with a match at least."""
+    x, y = np.concatenate([term.x for term in data]), np.concatenate([term.y for term in data])
+    qy, cy = np.concatenate([term.rotation for term in data]), np.concatenate([term.center for term in data])
+    qx, cx = qy, cy
+    if any(term.base_from_reference is not None for term in data):
+        qx, cx = np.concatenate([term.rotation_x for term in data]), np.concatenate([term.center_x for term in data])
+    offsets = np.array([0, *accumulate(len(term) for term in data)])
+    turns, focal = (qx.reshape(-1, 3, 3), qy.reshape(-1, 3, 3)), np.array([term.focal for term in data], dtype=float)
+    return Joined(x, y, offsets, *turns, cx.reshape(-1, 3), cy.reshape(-1, 3), focal)
+
+
+def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float, joined: Joined | None = None) -> Stack:
     """Stack terms, each with a match at least.
 
     Args:
         center: (3,) g.
         radius: of the object, length units.
+        joined: the terms, where that has been done.
     """
-    x, y = (np.ascontiguousarray(np.concatenate(part)) for part in zip(*((t.x, t.y) for t in data), strict=True))
-    offsets = _offsets(data)
-    qx, qy = np.array([term.rotation_x for term in data]), np.array([term.rotation for term in data])
-    a1, a2 = np.array([term.center_x for term in data]) - center, np.array([term.center for term in data]) - center
-    n = len(data)
+    return _laid_out(join(data) if joined is None else joined, center, float(radius))
+
+
+@kernel
+def _laid_out(joined: Joined, center: FloatArray, radius: float) -> Stack:
+    """About g, with what is believed of the surfaces."""
+    n = len(joined.focal)
     stack = Stack(
-        x=x,
-        y=y,
-        offsets=offsets,
-        qx=qx,
-        qy=qy,
-        a1=a1,
-        a2=a2,
-        anchor=np.empty((n, 2)),
-        spread=np.empty(n),
-        inverse_depth=np.empty(n),
-        surface_mean=np.empty((n, SURFACE)),
-        surface_information=np.empty((n, SURFACE, SURFACE)),
-        place=np.empty(n),
-        relief=np.empty(n),
-        plane_mean=np.empty((n, 3)),
-        plane_sd=np.empty((n, 3)),
-        plane_relief=np.empty(n),
-        focal=np.array([term.focal for term in data]),
+        joined.x,
+        joined.y,
+        joined.offsets,
+        joined.qx,
+        joined.qy,
+        joined.cx - center,
+        joined.cy - center,
+        np.empty((n, 2)),
+        np.empty(n),
+        np.empty(n),
+        np.empty((n, SURFACE)),
+        np.empty((n, SURFACE, SURFACE)),
+        np.empty(n),
+        np.empty(n),
+        np.empty((n, 3)),
+        np.empty((n, 3)),
+        np.empty(n),
+        joined.focal,
     )
     _believe(stack, radius)
     return stack
@@ -278,18 +320,13 @@ def _believe(stack: Stack, radius: float) -> None:
         place_sd[t] *= share
 
 
-def object_place(data: Sequence[TermData]) -> tuple[FloatArray, float]:
+def object_place(data: Sequence[TermData], joined: Joined | None = None) -> tuple[FloatArray, float]:
     """Where the object is and how large, from the matched points of the reference frame.
 
     Returns:
         center (3,), the point nearest to the rays through each camera's median point (at distance 1 with one camera);
         radius, length units: twice the median distance of points from it.
     """
-    x = np.ascontiguousarray(np.concatenate([term.x for term in data]))
-    turns, centers = np.array([term.rotation_x for term in data]), np.array([term.center_x for term in data])
+    x, _, offsets, turns, _, centers, _, _ = join(data) if joined is None else joined
     center = np.empty(3)
-    return center, float(placed(x, _offsets(data), turns, centers, OFFSET_SD, center))
-
-
-def _offsets(data: Sequence[TermData]) -> IntArray:
-    return np.cumsum([0, *(len(term) for term in data)], dtype=np.int64)
+    return center, float(placed(x, offsets, turns, centers, OFFSET_SD, center))

@@ -18,7 +18,17 @@ from sylpose.two_frames.match_cost import Tolerance, matched
 from sylpose.two_frames.reweight import CUTOFF, Reweighted
 from sylpose.two_frames.terms import Stack
 
-__all__ = ["is_consistent", "judged", "more_than_chance", "observed", "on_lines", "rod_axis", "stands_still", "unseen"]
+__all__ = [
+    "CERTAIN_SHARE",
+    "is_consistent",
+    "judged",
+    "more_than_chance",
+    "observed",
+    "on_lines",
+    "rod_axis",
+    "stands_still",
+    "unseen",
+]
 
 
 # What no motion at all must cost more, of six unknowns, and a turn, of three: below it, there may be none (chi-squared, once
