@@ -27,11 +27,9 @@ demo: $(VENV)/.installed
 demo-network: $(VENV)/.installed-dev
 	$(BIN)/sylpose network demo --out demo-network
 
-# Compiled kernels do not notice that a kernel which they call in another file has changed. Small matrices gain nothing from
-# several threads, which would get into each other's way beside several workers.
+# Small matrices gain nothing from several threads, which would get into each other's way beside several workers.
 test: export OPENBLAS_NUM_THREADS = 1
 test: lint
-	-find src -name '*.nb[ic]' ! -newer "$$(find src -name '*.py' -exec ls -t {} + | head -1)" -delete
 	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/python -m pytest -n auto --dist loadfile
 

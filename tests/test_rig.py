@@ -127,8 +127,17 @@ def test_arrays_cannot_be_changed() -> None:
 
 
 BAD_CAMERAS: dict[str, tuple[dict[str, Any], str]] = {
-    "matrix shape": ({"matrix": np.eye(2)}, "3x3 and finite"),
-    "matrix nan": ({"matrix": np.full((3, 3), np.nan)}, "3x3 and finite"),
+    "matrix shape": ({"matrix": np.eye(2)}, "3x3, got shape"),
+    "matrix nan": ({"matrix": np.full((3, 3), np.nan)}, "not finite"),
+    "matrix absurd": ({"matrix": np.array([[800, 0, 1e308], [0, 800, 240], [0, 0, 1]])}, "absurd"),
+    "focal absurd": ({"matrix": np.diag([1e-300, 1, 1])}, "absurd"),
+    "matrix of words": ({"matrix": "K"}, "not finite numbers"),
+    "size absurd": ({"size": (1e300, 1e300)}, "a side or"),
+    "size huge": ({"size": (32_000, 32_000)}, "a side or"),
+    "size of halves": ({"size": (640.5, 480)}, "width, height"),
+    "distortion absurd": ({"distortion": np.array([0, 1e30, 0, 0])}, "of no lens"),
+    "pose absurd": ({"camera_from_world": RigidTransform.from_translation([0, 0, -1e308])}, "beyond"),
+    "no pose": ({"camera_from_world": np.eye(4)}, "single transform"),
     "negative focal length": ({"matrix": np.diag([-1.0, 1, 1])}, "positive focal lengths"),
     "last row": ({"matrix": np.diag([1.0, 1, 2])}, "last row"),
     "size": ({"size": (0, 480)}, "width, height"),
@@ -147,6 +156,20 @@ def test_bad_camera(bad: str) -> None:
     changes, message = BAD_CAMERAS[bad]
     with pytest.raises(ValueError, match=f"camera cam_0: .*{message}"):
         replace(camera(), **changes)
+
+
+@pytest.mark.parametrize(
+    "name", ["", " ", ".", "..", "cam/_2", "cam\\_2", "a\0", "a\x1b[2J", "a\nb", "a\ud800", "a\u202eb", "a" * 101, None]
+)
+def test_names_that_no_file_can_have(name: Any) -> None:
+    with pytest.raises(ValueError, match="name") as caught:
+        replace(camera(), name=name)
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("name", ["0", "cam_0", "left camera", "Kamera é", "カメラ", "a.b", "..a", "-"])
+def test_names_that_people_give(name: str) -> None:
+    assert replace(camera(), name=name).name == name
 
 
 def test_rig() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.checked import finite_rows
 from sylpose.rig import Camera
 
 __all__ = ["STILL_PX", "Matches"]
@@ -25,7 +26,7 @@ class Matches:
         y: (n, 2) the same features' normalised points in frame j.
 
     Raises:
-        ValueError: shapes that do not fit, or values that are not finite.
+        ValueError: other shapes (nothing is reshaped), no real numbers, or values that are not finite.
     """
 
     x: FloatArray
@@ -33,11 +34,9 @@ class Matches:
 
     def __post_init__(self) -> None:
         # Row by row in memory, as the compiled solvers want it.
-        x, y = (np.array(part, dtype=float, order="C").reshape(-1, 2) for part in (self.x, self.y))
+        x, y = (np.array(finite_rows(part, 2, f"matches: {name}")) for name, part in (("x", self.x), ("y", self.y)))
         if x.shape != y.shape:
             raise ValueError(f"matches need as many points in frame i as in j, got {len(x)} and {len(y)}")
-        if not (np.isfinite(x).all() and np.isfinite(y).all()):
-            raise ValueError("matches have points that are not finite")
         object.__setattr__(self, "x", x)
         object.__setattr__(self, "y", y)
 
@@ -48,8 +47,13 @@ class Matches:
 
     @classmethod
     def from_pixels(cls, camera: Camera, pixels_i: ArrayLike, pixels_j: ArrayLike) -> Matches:
-        """Matches from pixels (n, 2) of the images as recorded; the lens is taken out here, once."""
-        return cls(camera.normalize(pixels_i), camera.normalize(pixels_j))
+        """Matches from pixels (n, 2) of the images as recorded; the lens is taken out here, once.
+
+        Raises:
+            ValueError: naming the argument: another shape, no real numbers, values that are not finite; not as many in both.
+        """
+        i, j = finite_rows(pixels_i, 2, "pixels_i"), finite_rows(pixels_j, 2, "pixels_j")
+        return cls(camera.normalize(i), camera.normalize(j))
 
     def __len__(self) -> int:
         return len(self.x)

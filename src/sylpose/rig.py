@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.checked import rows
 from sylpose.numerics.lens import TERMS, projected
+from sylpose.reading import one_line
 
 __all__ = ["Camera", "Rig", "nearest_point_to_rays"]
 
@@ -21,6 +23,13 @@ LensModel = Literal["opencv", "fisheye"]
 
 # Numbers of coefficients that OpenCV's standard model takes; its fisheye model takes exactly 4.
 OPENCV_TERMS = (4, 5, 8, 12, 14)
+# Beyond these nothing is a camera: pixels a side, as many as OpenCV's functions take; pixels in all, four times those of
+# 8K (choice); focal lengths and principal points, in pixels (choice: 1e4 of the longest lenses); terms of the lens, of which
+# the high ones of long lenses are large (choice); lengths, which float64 then still has to a thousandth (choice).
+MAX_SIDE, MAX_PIXELS = 32766, 2**27
+MAX_PX, MAX_TERM, MAX_LENGTH = 1e9, 1e9, 1e12
+# Of a camera's name, which names files: no longer than file systems take, with something before and behind (choice).
+MAX_NAME = 100
 # Image points that are kept are rounded to this at most, pixels: a tenth of the noise of the best features (choice).
 GRID_PX = 1.0 / 128.0
 
@@ -42,7 +51,8 @@ class Camera:
         error_px: what the calibration says of its own error, rms reprojection, pixels; None where it says nothing.
 
     Raises:
-        ValueError: naming the camera, for a size, matrix or distortion of the wrong shape, not finite or not possible.
+        ValueError: naming the camera, for a name that could not be a file's; a size, matrix or distortion of the wrong
+            shape, not finite, not possible or beyond what any camera has; a pose that is none.
     """
 
     name: str
@@ -54,18 +64,30 @@ class Camera:
     error_px: float | None = None
 
     def __post_init__(self) -> None:
-        matrix = np.array(self.matrix, dtype=float)
-        distortion = np.array(self.distortion, dtype=float).ravel()
-        if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-            raise ValueError(f"camera {self.name}: the matrix must be 3x3 and finite")
-        if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or not np.allclose(matrix[2], [0, 0, 1]):
+        check_name(self.name)
+        matrix = _numbers(self, "matrix", self.matrix)
+        distortion = _numbers(self, "distortion", self.distortion).ravel()
+        if matrix.shape != (3, 3):
+            raise ValueError(f"camera {self.name}: the matrix must be 3x3, got shape {matrix.shape}")
+        focal, middle = matrix[[0, 1], [0, 1]], matrix[:2, 2]
+        if (focal <= 0).any() or not np.allclose(matrix[2], [0, 0, 1]):
             raise ValueError(
                 f"camera {self.name}: the matrix must have positive focal lengths and (0, 0, 1) as last row"
             )
         if matrix[0, 1] != 0 or matrix[1, 0] != 0:
             raise ValueError(f"camera {self.name}: the matrix has skew, which OpenCV's lens models do not know")
-        if len(self.size) != 2 or min(self.size) <= 0:
+        if (focal < 1 / MAX_PX).any() or max(focal.max(), np.abs(middle).max()) > MAX_PX:
+            raise ValueError(
+                f"camera {self.name}: a focal length or principal point of the matrix is absurd: {focal} and {middle} pixels"
+            )
+        size = _numbers(self, "size", self.size)
+        if size.shape != (2,) or (size < 1).any() or (size != size.round()).any():
             raise ValueError(f"camera {self.name}: the size must be (width, height) in pixels, got {self.size}")
+        if size.max() > MAX_SIDE or size.prod() > MAX_PIXELS:
+            raise ValueError(
+                f"camera {self.name}: the size {size[0]:g} x {size[1]:g} is more than {MAX_SIDE} pixels a side or "
+                f"{MAX_PIXELS} in all"
+            )
         if self.lens not in ("opencv", "fisheye"):
             raise ValueError(f"camera {self.name}: lens must be 'opencv' or 'fisheye', got {self.lens!r}")
         allowed = OPENCV_TERMS if self.lens == "opencv" else (4,)
@@ -75,19 +97,21 @@ class Camera:
             raise ValueError(
                 f"camera {self.name}: {distortion.size} distortion terms; the {self.lens} model takes {allowed}"
             )
-        if not np.isfinite(distortion).all():
-            raise ValueError(f"camera {self.name}: the distortion has values that are not finite")
+        if np.abs(distortion).max() > MAX_TERM:
+            raise ValueError(f"camera {self.name}: a distortion term beyond {MAX_TERM:g} is that of no lens")
         if self.error_px is not None and not (np.isfinite(self.error_px) and self.error_px >= 0):
             raise ValueError(f"camera {self.name}: error_px must be a number of pixels, got {self.error_px}")
-        if not self.camera_from_world.single:
+        if not isinstance(self.camera_from_world, RigidTransform) or not self.camera_from_world.single:
             raise ValueError(f"camera {self.name}: camera_from_world must be a single transform")
-        if not np.isfinite(self.camera_from_world.as_matrix()).all():
-            raise ValueError(f"camera {self.name}: camera_from_world has values that are not finite")
+        if not np.abs(self.camera_from_world.as_matrix()).max() <= MAX_LENGTH:  # nor not a number
+            raise ValueError(
+                f"camera {self.name}: camera_from_world has values that are not finite, or lengths beyond {MAX_LENGTH:g}"
+            )
         matrix.setflags(write=False)
         distortion.setflags(write=False)
         object.__setattr__(self, "matrix", matrix)
         object.__setattr__(self, "distortion", distortion)
-        object.__setattr__(self, "size", (int(self.size[0]), int(self.size[1])))
+        object.__setattr__(self, "size", (int(size[0]), int(size[1])))
 
     @cached_property
     def focal(self) -> float:
@@ -124,7 +148,7 @@ class Camera:
     def normalize(self, pixels: ArrayLike) -> FloatArray:
         """Undistort: pixels (n, 2) of the image as recorded -> normalised points (n, 2) on the plane z = 1."""
         # Contiguous: OpenCV's fisheye functions ignore strides.
-        points = np.ascontiguousarray(pixels, dtype=float).reshape(-1, 1, 2)
+        points = rows(pixels, 2, "pixels", single=True).reshape(-1, 1, 2)
         if points.size == 0:
             return np.empty((0, 2))
         if self.lens == "fisheye":
@@ -137,7 +161,7 @@ class Camera:
 
     def project(self, points: ArrayLike) -> FloatArray:
         """World points (n, 3) -> pixels (n, 2), lens included; NaN for points not in front of the camera."""
-        points = np.ascontiguousarray(points, dtype=float).reshape(-1, 3)
+        points = rows(points, 3, "points", single=True)
         if self._terms is not None:
             out = np.empty((len(points), 2))
             projected(points, self.rotation, self._shift, self.matrix, self._terms, out)
@@ -159,7 +183,7 @@ class Camera:
 
     def denormalize(self, normalized: ArrayLike) -> FloatArray:
         """Normalised points (n, 2) -> pixels (n, 2) of the image as recorded: the inverse of `normalize`."""
-        points = np.ascontiguousarray(normalized, dtype=float).reshape(-1, 2)
+        points = rows(normalized, 2, "normalized", single=True)
         if points.size == 0:
             return np.empty((0, 2))
         if self.lens == "fisheye":
@@ -220,6 +244,33 @@ class Rig:
     def subset(self, names: Sequence[str]) -> Rig:
         """The rig of the named cameras, in the order given."""
         return Rig([self[name] for name in names], self.unit)
+
+
+def check_name(name: str) -> None:
+    """That a camera's name can be part of files' names, and of sentences.
+
+    Raises:
+        ValueError: it is empty, a folder's (".", ".."), too long, or has separators of paths or characters that are no
+            text: control characters, marks that turn the direction of writing, halves of characters.
+    """
+    if not isinstance(name, str) or name.strip() in ("", ".", "..") or len(name) > MAX_NAME:
+        raise ValueError(f"a camera's name must be a word of at most {MAX_NAME} characters, got {one_line(repr(name))}")
+    wrong = sorted({c for c in name if c in "/\\" or one_line(f"a{c}b") != f"a{c}b"})
+    if wrong:
+        raise ValueError(
+            f"camera {one_line(name)}: its name has {', '.join(map(ascii, wrong))}, which no file's name can"
+        )
+
+
+def _numbers(camera: Camera, what: str, values: ArrayLike) -> FloatArray:
+    try:
+        array = np.array(values)
+        array = np.array(array, dtype=float) if array.dtype.kind in "biufO" else np.array(None, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        array = np.array(np.nan)
+    if not np.isfinite(array).all():
+        raise ValueError(f"camera {camera.name}: the {what} has values that are not finite numbers")
+    return array
 
 
 def _read_only(array: FloatArray) -> FloatArray:

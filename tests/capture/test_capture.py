@@ -594,10 +594,10 @@ def test_bad_masks(folder: Path) -> None:
     two_videos(folder, 3, 3)
     cases: list[tuple[str, bool, tuple[int, int], str]] = [
         ("m1/cam_0.png", False, SIZE, r"cam_0\.png: the mask is empty"),
-        ("m2/cam_0.png", True, (80, 48), r"cam_0\.png: a mask of 80x48 for images of 160x48"),
+        ("m2/cam_0.png", True, (80, 48), r"cam_0\.png: 80x48, not 160x48 pixels"),
         ("m3/cam_8.png", True, SIZE, "cam_8 is no camera"),
         ("m4/cam_0/0001.png", False, SIZE, r"0001\.png: empty"),
-        ("m5/cam_0/0001.png", True, (80, 48), r"0001\.png: a mask of 80x48"),
+        ("m5/cam_0/0001.png", True, (80, 48), r"0001\.png: 80x48, not 160x48 pixels"),
         ("m6/cam_0/0100.png", True, SIZE, "no mask has the number of a frame"),
         ("m7/cam_0/first.png", True, SIZE, "number"),
     ]

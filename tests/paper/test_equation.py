@@ -377,3 +377,16 @@ def test_a_method_that_does_not_fit_is_refused() -> None:
 def test_a_solution_that_no_number_holds_is_refused(method: Method) -> None:
     with pytest.raises(ValueError, match="beyond the range of floating point numbers"):
         solve_sylvester([[1e-200]], [[1e-200]], [[1e200]], method)
+
+
+@pytest.mark.parametrize("method", ["kronecker", "bartels-stewart"])
+@pytest.mark.parametrize("right", [0.0, 1.0])
+def test_the_zero_operator_is_singular(method: Method, right: float) -> None:
+    zero, one, c = np.zeros((2, 2)), np.eye(2), right * np.eye(2)
+    with pytest.raises(SingularSylvesterError, match="is singular"):
+        solve_sylvester(zero, zero, c, method=method)
+    for a, b in (([zero], [zero]), ([zero, zero], [zero, one]), ([zero, one], [one, zero]), ([zero], [one])):
+        with pytest.raises(SingularSylvesterError, match="is singular"):
+            solve_generalized_sylvester(a, b, c, method=method)
+    with pytest.raises(SingularSylvesterError, match="at index 1 of the batch"):
+        solve_generalized_sylvester([np.stack([one, zero])], [one], c, method=method)

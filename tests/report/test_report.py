@@ -19,9 +19,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.files import output_folder
 from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.report import drawing, overlay, plots
-from sylpose.report.files import TrajectoryWriter, output_folder, read_trajectory, read_tum, write_tum
+from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum, write_tum
 from sylpose.report.overlay import OverlayWriter, Shown
 from sylpose.report.plots import plot_trajectory, summary
 from sylpose.report.rigview import describe_rig, meeting_point, plot_rig, view_axes
@@ -259,11 +260,11 @@ def test_files_that_are_no_trajectories(tmp_path: Path) -> None:
     whole = (tmp_path / "trajectory.csv").read_text()
     for broken in (whole[:-30], whole.replace("too few matches", "too few stars"), whole.replace(",2,", ",two,")):
         path.write_text(broken)
-        with pytest.raises(ValueError, match=r"t\.csv, line \d: "):
+        with pytest.raises(ValueError, match=r"t\.csv: line \d: "):
             read_trajectory(path)
     for line in ("1 2 3\n", "0 0 0 0 0 0 0 0\n", "0 0 0 nan 0 0 0 1\n", "0 a b c 0 0 0 1\n"):
         path.write_text(f"# comment\n\n0 0 0 0 0 0 0 1\n{line}")
-        with pytest.raises(ValueError, match=r"t\.csv, line 4: "):
+        with pytest.raises(ValueError, match=r"t\.csv: line 4: "):
             read_tum(path)
     with pytest.raises(FileNotFoundError, match="nowhere"):
         read_trajectory(tmp_path / "nowhere.csv")
@@ -406,6 +407,19 @@ def test_overlay_of_mixed_sizes_with_each_encoder(
     frames = overlay_frames(tmp_path / "o.mp4")
     assert len(frames) == 3
     assert frames[0].shape[1] <= 1002
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_an_overlay_on_a_full_disk_ends_with_a_sentence(tmp_path: Path) -> None:
+    """However often it is gone on with: FFmpeg crashes where a header was not written and frames follow."""
+    (tmp_path / "o.mp4").symlink_to("/dev/full")
+    rig = ring(3, 1)
+    writer = OverlayWriter(tmp_path / "o.mp4", rig, 5)
+    for _ in range(3):
+        with pytest.raises(OSError, match=r"cannot write .*o\.mp4: no space left on device"):
+            writer.write(blank(rig, 0), frame_pose(0, RigidTransform.identity(), cameras=3), [None] * 3, 0.5)
+    writer.close()
+    writer.close()
 
 
 def test_axes_are_drawn_where_the_camera_sees_them(tmp_path: Path) -> None:

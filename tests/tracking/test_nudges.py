@@ -3,8 +3,6 @@ else that may happen in its images is taken for that."""
 
 from __future__ import annotations
 
-import io
-import pickle
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,7 +14,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.kinds_scenes import turned
-from sylpose.app.checkpoint import ExactPickler
+from sylpose.app.encoding import decoded, encoded
+from sylpose.app.state import KINDS
 from sylpose.features.backdrop import FEWEST, Steadied, alike, begin, turn_since
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray, Image
@@ -32,6 +31,7 @@ from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker, track
 from sylpose.tracking.watch import PATIENCE, PAUSE, Watch
 from tests.clips import Clip, errors, frame_sets
+from tests.stored import go_on, stored
 
 SIZE = (320, 240)
 FRAMES, NUDGED, CAMERA = 12, 6, 1
@@ -136,7 +136,8 @@ def test_a_nudge_is_certain_in_its_second_frame(camera: Camera) -> None:
     assert watch.steady is not None
     assert off(watch.steady.rotation, 2.5) < 0.05
     # As it was is as it is, to the bit.
-    again = pickle.loads(pickle.dumps(watch))
+    table, *blocks = encoded(watch, KINDS, {})
+    again: Watch = decoded(memoryview(b"".join([table, *blocks])), len(table), Watch, KINDS, {})
     np.testing.assert_array_equal(again.seen(moved, None)[0], watch.seen(moved, None)[0])
 
 
@@ -244,13 +245,12 @@ def test_a_checkpoint_goes_on_exactly(clip: Clip) -> None:
     frames, states, found = nudged(clip, 2.0), [], []
     with Tracker(clip.rig, clip.boxes, workers=1) as tracker:
         for frame in frames:
-            file = io.BytesIO()
-            ExactPickler(file, protocol=5).dump(tracker)
-            states.append(file.getvalue())
+            states.append(stored(tracker))
             found += tracker.step(frame)
     assert any(said_of(found))
     for k in (NUDGED + 1, NUDGED + 2):  # while it is being decided, and after
-        with pickle.loads(states[k]) as tracker:
+        with Tracker(clip.rig, clip.boxes, workers=1) as tracker:
+            go_on(tracker, states[k])
             again = [f for frame in frames[k:] for f in tracker.step(frame)]
         for one, other in zip(again, found[k:], strict=True):
             assert one.pose.faults == other.pose.faults

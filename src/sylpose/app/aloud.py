@@ -12,6 +12,7 @@ from typing import Any
 from sylpose.app import text
 from sylpose.app.compiling import compile_all
 from sylpose.app.notes import notes
+from sylpose.app.results_folder import EARLIER
 from sylpose.app.run import Run, output_path, track_session
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
@@ -70,7 +71,10 @@ def track_aloud(session: Session | LiveSession, out: Path | None, **options: Any
             if not isinstance(session, LiveSession):
                 text.print_warnings(console, problems)
             of = "" if frames is None else f" of {frames}"
-            said = f"after {progress.done}{of} frames; what was computed is in {output_path(session, out)}"
+            folder = output_path(session, out)
+            said = f"after {progress.done}{of} frames; what was computed is in {folder}"
+            if (folder / EARLIER).exists():
+                said += f", what was there before in {folder / EARLIER}"
             if isinstance(error, KeyboardInterrupt):
                 raise KeyboardInterrupt(f"interrupted {said}") from None
             if progress.tracked:

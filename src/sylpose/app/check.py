@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,11 +11,13 @@ import numpy as np
 from sylpose.app import text
 from sylpose.app.following import Follows, box_outlines, what_moves
 from sylpose.app.notes import notes
+from sylpose.app.opening import check_out
 from sylpose.app.text import length
 from sylpose.calibration import anipose, caliscope
 from sylpose.capture import Session
+from sylpose.files import output_folder
 from sylpose.numerics.arrays import FloatArray
-from sylpose.report.files import output_folder
+from sylpose.reading import parsed_toml, text_of
 from sylpose.report.following import draw_followed
 from sylpose.report.rigview import describe_rig, meeting_point, plot_rig
 from sylpose.rig import Rig
@@ -60,7 +61,9 @@ def check_aloud(session: Session, out: Path | None) -> None:
         ValueError: boxes that cannot be of one object.
         OSError: naming the file or folder that cannot be written.
     """
-    picture = output_folder(session.path / "sylpose" if out is None else out) / "rig.png"
+    folder = session.path / "sylpose" if out is None else out
+    check_out(session, folder)
+    picture = output_folder(folder) / "rig.png"
     places = {name: object_place(session.of(name)) for name in session.objects}
     place = next(iter(places.values()))
     console = text.make_console()
@@ -246,8 +249,8 @@ def _boxes(session: Session, place: Place) -> list[str]:
 def calibration_format(path: Path) -> str:
     """The format of a calibration that `calibration.load` has read, in words."""
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except tomllib.TOMLDecodeError:
+        data = parsed_toml(text_of(path))
+    except ValueError:
         return "OpenCV FileStorage"
     if "format" in data:
         return "sylpose TOML"

@@ -1,99 +1,49 @@
 """Checkpoints: the state of a run that is not at its end, from which `--resume` goes on exactly as if nothing had happened.
 
 A file of: a line that says what it is; a line of JSON with what the run was asked to do and of which recording; the state,
-a Python pickle, and so to be loaded only if the file is one's own; a checksum of all this.
+as data (`encoding`, `state`), with the length of its table before it; a checksum of all this.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
-import pickle
+import re
+import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import __version__
+from sylpose.app.encoding import decoded, encoded
+from sylpose.app.state import FUNCTIONS, KINDS, RunState
 from sylpose.capture import Session
-from sylpose.numerics.arrays import FloatArray
-from sylpose.report.files import writing
+from sylpose.files import replacing
 
-__all__ = ["CHECKPOINT", "ExactPickler", "fingerprint", "load_checkpoint", "save_checkpoint"]
+__all__ = ["CHECKPOINT", "fingerprint", "load_checkpoint", "save_checkpoint"]
 
 CHECKPOINT = "checkpoint.bin"
-FORMAT = b"sylpose checkpoint 1\n"
+FORMAT = b"sylpose checkpoint 2\n"
 DIGEST_SIZE = hashlib.blake2b().digest_size
 START_ANEW = "; to start anew leave out --resume"
+# Bytes: of a file, with all images of the frames that wait for a first motion; of its line of options (choice).
+LARGEST, MOST_HEADER = 1 << 31, 1 << 20
+_LENGTH = struct.Struct("<Q")
+
+
+# What may be said of in a sentence.
+_Word = Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f]*$", max_length=10_000)]
 
 
 class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    version: str
-    options: dict[str, str]
-    session: dict[str, str]
+    version: Annotated[str, msgspec.Meta(pattern=r"^[\w.+-]{1,40}$")]
+    options: dict[_Word, _Word]
+    session: dict[_Word, _Word]
 
 
-class ExactPickler(pickle.Pickler):
-    """Pickles so that what is loaded computes on with the same bits."""
-
-    def reducer_override(self, obj: object) -> Any:
-        """Poses to the last bit, which SciPy normalises when it loads them; arrays with their layout in memory, since
-        sums over other layouts are added up in other orders."""
-        if isinstance(obj, RigidTransform):
-            return _transform, (obj.as_matrix(),)
-        if isinstance(obj, Rotation):
-            return _rotation, (obj.as_quat(),)
-        if type(obj) is np.ndarray and not (obj.dtype.hasobject or _is_plain(obj)):
-            return _array, (np.array(obj, order="C"), obj.strides, obj.flags.writeable)
-        return NotImplemented
-
-
-def _transform(matrix: FloatArray) -> RigidTransform:
-    return RigidTransform(matrix, normalize=False)
-
-
-def _rotation(quaternions: FloatArray) -> Rotation:
-    return Rotation(quaternions, normalize=False)
-
-
-def _is_plain(array: NDArray[Any]) -> bool:
-    """Whether NumPy's own pickling keeps everything."""
-    return array.flags.forc and array.flags.writeable
-
-
-def _array(values: NDArray[Any], strides: tuple[int, ...], writeable: bool) -> NDArray[Any]:
-    """An array (not of views of other arrays) with given strides, in bytes."""
-    reach = [(n - 1) * step for n, step in zip(values.shape, strides, strict=True)]
-    before = -sum(min(r, 0) for r in reach)
-    size = before + sum(max(r, 0) for r in reach) + values.itemsize
-    out: NDArray[Any] = np.ndarray(values.shape, values.dtype, np.zeros(size, np.uint8).data, before, strides)
-    out[...] = values
-    out.setflags(write=writeable)
-    return out
-
-
-class _Sealed:
-    """A file whose content is summed up while it is written."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file, self._sum = file, hashlib.blake2b()
-
-    def write(self, data: Any) -> int:
-        self._sum.update(data)
-        return self._file.write(data)
-
-    def close(self) -> None:
-        """Put the checksum at the end; the file is then on the disk."""
-        self._file.write(self._sum.digest())
-        self._file.flush()
-        os.fsync(self._file.fileno())
-
-
-def save_checkpoint(path: Path, options: Mapping[str, str], session: Mapping[str, str], state: object) -> None:
+def save_checkpoint(path: Path, options: Mapping[str, str], session: Mapping[str, str], state: RunState) -> None:
     """Write a checkpoint, or leave the one that is there as it is.
 
     Args:
@@ -103,58 +53,46 @@ def save_checkpoint(path: Path, options: Mapping[str, str], session: Mapping[str
         OSError: naming the file that cannot be written.
     """
     header = _Header(__version__, dict(options), dict(session))
-    temporary = path.with_name(f"{path.name}.tmp")
-    with writing(path):
-        try:
-            with temporary.open("wb") as file:
-                sealed = _Sealed(file)
-                sealed.write(FORMAT + msgspec.json.encode(header) + b"\n")
-                ExactPickler(sealed, protocol=5).dump(state)
-                sealed.close()
-            os.replace(temporary, path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
+    table, *blocks = encoded(state, KINDS, FUNCTIONS)
+    with replacing(path) as part, part.open("wb") as file:
+        total = hashlib.blake2b()
+        for piece in (FORMAT, msgspec.json.encode(header) + b"\n", _LENGTH.pack(len(table)), table, *blocks):
+            total.update(piece)
+            file.write(piece)
+        file.write(total.digest())
 
 
-def load_checkpoint(path: Path, options: Mapping[str, str], session: Mapping[str, str]) -> Any:
-    """The state that was saved.
+def load_checkpoint(path: Path, options: Mapping[str, str], session: Mapping[str, str]) -> RunState:
+    """The state that was saved. It is read as data: whatever is in the file, nothing of it is run.
 
     Raises:
         FileNotFoundError: no checkpoint.
         ValueError: naming the file: damaged, of another version, other options or another session.
     """
-    damaged = ValueError(f"{path}: this checkpoint is damaged, or none of sylpose{START_ANEW}")
+    damaged = f"{path}: this checkpoint is damaged, or none of sylpose{START_ANEW}"
     with path.open("rb") as file:
-        if file.readline(len(FORMAT)) != FORMAT or not _is_whole(file):
-            raise damaged
-        file.seek(len(FORMAT))
-        try:
-            header = msgspec.json.decode(file.readline(), type=_Header)
-        except msgspec.MsgspecError:
-            raise damaged from None
-        if header.version != __version__:
-            raise ValueError(f"{path}: written by sylpose {header.version}, this is {__version__}{START_ANEW}")
-        _compare(path, header, options, session)
-        try:
-            return pickle.load(file)
-        except (pickle.UnpicklingError, AttributeError, ImportError, TypeError, ValueError, EOFError, KeyError):
-            # Whole, and of this version's name: of one that was changed in between.
-            raise ValueError(f"{path}: written by another state of sylpose {__version__}{START_ANEW}") from None
-
-
-def _is_whole(file: BinaryIO) -> bool:
-    """Whether the checksum at the end is that of the rest."""
-    rest = file.seek(0, os.SEEK_END) - DIGEST_SIZE
-    file.seek(0)
-    total = hashlib.blake2b()
-    while rest > 0:
-        part = file.read(min(rest, 1 << 20))
-        if not part:
-            return False
-        total.update(part)
-        rest -= len(part)
-    return rest == 0 and file.read() == total.digest()
+        data = memoryview(file.read(LARGEST + 1))
+    first = bytes(data[: len(FORMAT)])
+    if first != FORMAT and re.fullmatch(rb"sylpose checkpoint \d+\n?", first):
+        raise ValueError(f"{path}: written by another version of sylpose; this is {__version__}{START_ANEW}")
+    if first != FORMAT or len(data) > LARGEST or hashlib.blake2b(data[:-DIGEST_SIZE]).digest() != data[-DIGEST_SIZE:]:
+        raise ValueError(damaged)
+    line = bytes(data[len(FORMAT) : len(FORMAT) + MOST_HEADER]).partition(b"\n")[0]
+    try:
+        header = msgspec.json.decode(line, type=_Header)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        raise ValueError(damaged) from None
+    if header.version != __version__:
+        raise ValueError(f"{path}: written by sylpose {header.version}, this is {__version__}{START_ANEW}")
+    _compare(path, header, options, session)
+    rest = data[len(FORMAT) + len(line) + 1 : -DIGEST_SIZE]
+    try:
+        (length,) = _LENGTH.unpack_from(rest)
+        state: RunState = decoded(rest[_LENGTH.size :], length, RunState, KINDS, FUNCTIONS)
+    except (ValueError, struct.error):
+        # Whole, and of this version's name: of one that was changed in between, or somebody made it up.
+        raise ValueError(f"{path}: written by another state of sylpose {__version__}{START_ANEW}") from None
+    return state
 
 
 def _compare(path: Path, header: _Header, options: Mapping[str, str], session: Mapping[str, str]) -> None:

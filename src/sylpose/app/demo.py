@@ -14,8 +14,9 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.app import text
 from sylpose.app.aloud import track_aloud, why_nothing
 from sylpose.capture import open_session
+from sylpose.files import output_folder, replacing, writing
 from sylpose.numerics.arrays import FloatArray
-from sylpose.report.files import output_folder, read_tum, writing
+from sylpose.report.files import read_tum
 from sylpose.simulate import DemoTruth, render_sequence
 
 __all__ = ["MAX_ERROR_DEG", "Score", "demo_aloud", "render_demo", "score"]
@@ -129,11 +130,14 @@ def render_demo(out: Path, *, frames: int, turn_deg: float, n_cameras: int, seed
     """
     if frames < 2:
         raise ValueError(f"the demo needs at least 2 frames, got {frames}")
+    if seed < 0:
+        raise ValueError(f"--seed must not be negative, got {seed}")
     output_folder(out)
     if any(out.iterdir()) and not (out / MARK).exists():
         raise ValueError(f"{out}: is not empty and no earlier demo's; the demo would replace files in it")
     with writing(out):
-        (out / MARK).write_text("Written by `sylpose demo`, which replaces it without asking.\n")
+        with replacing(out / MARK) as part:
+            part.write_text("Written by `sylpose demo`, which replaces it without asking.\n")
         for old in out.glob("cam_*.mp4"):  # an earlier demo may have had more cameras
             old.unlink()
         return render_sequence(out, frames=frames, turn_deg=turn_deg, n_cameras=n_cameras, seed=seed)

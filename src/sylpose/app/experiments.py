@@ -10,7 +10,7 @@ from rich.console import Console
 
 from sylpose.app import text
 from sylpose.experiments import STUDIES, Study
-from sylpose.report.files import output_folder, writing
+from sylpose.files import output_folder, replacing
 
 __all__ = ["chosen", "run_studies"]
 
@@ -61,8 +61,8 @@ def run_studies(studies: Sequence[Study], out: Path, *, seed: int, quick: bool) 
             with console.status(f"{study.name}: {study.question} ({k + 1} of {len(studies)}) ..."):
                 table = study.run(seed, trials)
                 csv, png = (folder / f"{PREFIX}{study.name}.{kind}" for kind in ("csv", "png"))
-                with writing(csv):
-                    csv.write_text(table.csv(), encoding="utf-8", newline="")
+                with replacing(csv) as part:
+                    part.write_text(table.csv(), encoding="utf-8", newline="")
                 study.draw(table, png)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
@@ -91,6 +91,6 @@ def _entry(study: Study, trials: int, findings: Sequence[str]) -> str:
 
 def _write_index(folder: Path, entries: Sequence[str], seed: int, quick: bool) -> None:
     """The studies of this run; of an earlier run's the files stay, but are not listed."""
-    with writing(folder / INDEX):
+    with replacing(folder / INDEX) as part:
         head = f"# The paper's experiments\n\n`sylpose experiments`, seed {seed}{', --quick' if quick else ''}.\n"
-        (folder / INDEX).write_text("\n".join([head, *entries]), encoding="utf-8")
+        part.write_text("\n".join([head, *entries]), encoding="utf-8")

@@ -1,13 +1,14 @@
-"""A session as the options of `sylpose track` and `check` ask for it: recorded or live."""
+"""A session as the options of `sylpose track` and `check` ask for it, recorded or live, and where its results may go."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from sylpose.capture import Session, live, open_session
 
-__all__ = ["open_asked", "open_recorded"]
+__all__ = ["check_out", "open_asked", "open_recorded"]
 
 
 def open_recorded(
@@ -52,6 +53,27 @@ def open_asked(
     return live.open_live(
         path, calibration=calibration, boxes=boxes, masks=masks, follow=follow, lossless=lossless, rate=rate
     )
+
+
+def check_out(session: Session | live.LiveSession, out: Path) -> None:
+    """Whether results may be written into a folder.
+
+    Raises:
+        ValueError: they would be taken for part of the recording.
+    """
+    there = Path(os.path.realpath(out))
+    if there == Path(os.path.realpath(session.path)):
+        raise ValueError(
+            f"--out {out}: this is the recording's own folder, in which results would be taken for cameras"
+        )
+    cameras = {name: session.path / name for name in session.rig.names}
+    if isinstance(session, Session):
+        cameras = {source.camera: source.path for source in session.sources}
+    for name, path in cameras.items():
+        if Path(os.path.realpath(path)) in (there, *there.parents):
+            raise ValueError(f"--out {out}: camera {name} has its images there ({path})")
+    if session.masks is not None and Path(os.path.realpath(session.masks)) in (there, *there.parents):
+        raise ValueError(f"--out {out}: the masks are there ({session.masks})")
 
 
 def _offsets(given: Sequence[str] | None) -> dict[str, int] | None:

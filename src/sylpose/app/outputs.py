@@ -2,42 +2,33 @@
 
 from __future__ import annotations
 
-import os
-import pickle
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 from sylpose.adjustment.calibration import usual_doubt
-from sylpose.app.checkpoint import ExactPickler
 from sylpose.app.clock import Clock
-from sylpose.app.recalibrate import REFINED, REFINED_END, changes, moved_cameras, write_refined
-from sylpose.report.files import TrajectoryWriter, WriterState, output_folder, read_trajectory, writing
+from sylpose.app.recalibrate import changes, moved_cameras, write_refined
+from sylpose.app.state import OutputState
+from sylpose.app.tracks import TrackFile
+from sylpose.files import output_folder
+from sylpose.report.files import TrajectoryWriter, write_trajectory
 from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
 from sylpose.smoothing.trajectory import Track, smooth
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-__all__ = ["MAX_SMOOTHED", "ObjectOutput", "OutputState", "Overlay"]
+__all__ = ["MAX_SMOOTHED", "RESULT", "SUFFIXES", "TRACKED", "TRACKS", "ObjectOutput", "Overlay"]
 
 # So many frames are refined together at most: they take some 30 kB each, all at once in memory.
 MAX_SMOOTHED = 10_000
 # What smoothing needs of the frames.
 TRACKS = "tracks.bin"
-# Names of the trajectory's files: the result; as it was tracked, where that is smoothed; and while it is written.
-RESULT, TRACKED, PARTIAL, SUFFIXES = "trajectory", "tracked", "smoothing", (".tum", ".csv")
+# Names of the trajectory's files: the result; as it was tracked, where that is smoothed.
+RESULT, TRACKED, SUFFIXES = "trajectory", "tracked", (".tum", ".csv")
 # Frames that may wait for the overlay's thread before the tracker has to.
 OVERLAY_QUEUE = 4
-
-
-@dataclass(frozen=True, eq=False)
-class OutputState:
-    """How far an `ObjectOutput` has come; `n_tracks` is the length in bytes of what is kept for smoothing."""
-
-    writer: WriterState
-    n_tracks: int
 
 
 class ObjectOutput:
@@ -47,13 +38,13 @@ class ObjectOutput:
         folder: made when it is not there.
         rig: whose cameras and unit the files name.
         smooth: write the frames to tracked.tum and .csv, and keep what `finish` needs to make trajectory.tum and .csv of
-            them: in a file, since it is much.
+            them.
         recalibrate: refine the calibration with it, and write it too.
         clock: counts the time of "plots" and "smoothing".
-        resume: of an earlier run, to go on with its files.
+        resume: of an earlier run, to go on with its files. Nothing of them is cut or removed before there is as much again.
 
     Raises:
-        OSError, ValueError: as `TrajectoryWriter`.
+        OSError, ValueError: as `TrajectoryWriter` and `TrackFile`.
     """
 
     def __init__(
@@ -67,38 +58,20 @@ class ObjectOutput:
         resume: OutputState | None = None,
     ) -> None:
         self.folder, self._rig, self._clock = output_folder(folder), rig, clock
-        self.poses: list[FramePose] = []
         self.changes: list[str] = []
         self._recalibrate = recalibrate
         self.report_path = self.folder / "report.png"
-        self._writer = TrajectoryWriter(
-            self.folder,
-            rig.names,
-            rig.unit,
-            stem=TRACKED if smooth else RESULT,
-            resume=None if resume is None else resume.writer,
-        )
-        result = [self.folder / f"{RESULT}{suffix}" for suffix in SUFFIXES]
-        tracked = [self.folder / f"{TRACKED}{suffix}" for suffix in SUFFIXES]
-        earlier = [self.report_path]  # it would be taken for this run's
-        if resume is None:
-            earlier += [
-                *(result if smooth else tracked),
-                *(self.folder / name for name in (REFINED, REFINED_END, TRACKS)),
-            ]
-        for old in earlier:
-            with writing(old):
-                old.unlink(missing_ok=True)
-        self.files = [*result, self.report_path, *(tracked if smooth else [])]
-        self._tracks_path = self.folder / TRACKS
-        self._tracks, self._published = None, False
-        if resume is not None:
-            self.poses += read_trajectory(self._writer.csv_path)
-        if smooth:
-            with writing(self._tracks_path):
-                self._tracks = self._tracks_path.open("wb" if resume is None else "r+b")
-                self._tracks.truncate(0 if resume is None else resume.n_tracks)
-                self._tracks.seek(0, os.SEEK_END)
+        state = OutputState() if resume is None else resume
+        stem = TRACKED if smooth else RESULT
+        writer = None if resume is None else resume.writer
+        self._writer = TrajectoryWriter(self.folder, rig.names, rig.unit, stem=stem, resume=writer)
+        self._tracks = TrackFile(self.folder / TRACKS, state.n_tracks) if smooth else None
+        self.poses: list[FramePose] = list(self._writer.written())
+        self._ended = False
+        self.files = [*self._named(RESULT), self.report_path, *(self._named(TRACKED) if smooth else [])]
+
+    def _named(self, stem: str) -> list[Path]:
+        return [self.folder / f"{stem}{suffix}" for suffix in SUFFIXES]
 
     @property
     def trajectory(self) -> Trajectory:
@@ -110,18 +83,11 @@ class ObjectOutput:
         self._writer.write(tracked.pose)
         self.poses.append(tracked.pose)
         if self._tracks is not None:
-            with writing(self._tracks_path):
-                ExactPickler(self._tracks, protocol=5).dump(Track.of(tracked))
+            self._tracks.write(Track.of(tracked))
 
     def state(self) -> OutputState:
         """What it takes to go on from here; all that was written is then on the disk."""
-        n_tracks = 0
-        if self._tracks is not None:
-            with writing(self._tracks_path):
-                self._tracks.flush()
-                os.fsync(self._tracks.fileno())
-            n_tracks = self._tracks.tell()
-        return OutputState(self._writer.state(), n_tracks)
+        return OutputState(self._writer.state(), 0 if self._tracks is None else self._tracks.length())
 
     def finish(self, on_round: Callable[[int], None] | None = None) -> str | None:
         """After the last frame: smooth the trajectory if that is asked for; a sentence when that did not work out.
@@ -131,16 +97,16 @@ class ObjectOutput:
         Args:
             on_round: called with the number of each round of the refinement.
         """
-        if self._tracks is None:
-            return None
+        self._writer.cut_rest()
+        sentence = None if self._tracks is None else self._smoothed(self._tracks, on_round)
+        self._ended = True
+        return sentence
+
+    def _smoothed(self, kept: TrackFile, on_round: Callable[[int], None] | None) -> str | None:
         if len(self.poses) > MAX_SMOOTHED:
             return f"Smoothing: {len(self.poses)} frames are more than the {MAX_SMOOTHED} that can be refined together."
         with self._clock.part("smoothing"):
-            self._tracks.flush()
-            tracks = []
-            with self._tracks_path.open("rb") as file:
-                while file.peek(1):
-                    tracks.append(pickle.load(file))
+            tracks = list(kept.read())
             nudges = tracks[-1].nudges if tracks else ()
             moved = moved_cameras(self.trajectory, nudges) if self._recalibrate else []
             doubt = usual_doubt(self._rig)
@@ -151,36 +117,28 @@ class ObjectOutput:
             if result.correction is not None:
                 self.files += write_refined(self.folder, result.correction, self._rig.names, result.moved)
                 self.changes += changes(result.correction, self._rig, result.moved)
-            self._publish()
         return None if result.status is Status.OK else f"Smoothing: {result.status.text}"
 
-    def _publish(self) -> None:
-        """Writes the poses as the result: each file whole or not at all."""
-        with TrajectoryWriter(self.folder, self._rig.names, self._rig.unit, stem=PARTIAL) as writer:
-            for pose in self.poses:
-                writer.write(pose)
-        for path in (writer.tum_path, writer.csv_path):
-            with writing(path):
-                os.replace(path, path.with_stem(RESULT))
-        self._published = True
-
     def close(self) -> None:
-        """Finishes the files with the frames there are."""
+        """Finishes the files with the frames there are. Where the run did not come to its end, a result that is there and
+        has as many frames stays, and its report."""
         self._writer.close()
         if self._tracks is not None:
             self._tracks.close()
-            if not self._published:  # interrupted, or too much to be smoothed: the result is what was tracked
-                self._publish()
+        if not self._ended and _frames_in(self._named(RESULT)[1]) >= len(self.poses) + (self._tracks is None):
+            return
+        if self._tracks is not None:  # as refined, or as tracked where it was interrupted or is too much
+            write_trajectory(self.folder, self.trajectory, stem=RESULT)
         if self.poses:
             with self._clock.part("plots"):
                 from sylpose.report.plots import plot_trajectory
 
                 plot_trajectory(self.trajectory, self.report_path)
 
-    def forget(self) -> None:
-        """Once there is nothing to be resumed: what was kept for smoothing is removed."""
-        with writing(self._tracks_path):
-            self._tracks_path.unlink(missing_ok=True)
+
+def _frames_in(path: Path) -> int:
+    """In a trajectory.csv, by its lines; -1 without one."""
+    return path.read_bytes().count(b"\n") - 1 if path.exists() else -1
 
 
 class Overlay:

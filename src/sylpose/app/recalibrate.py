@@ -13,7 +13,6 @@ from sylpose.adjustment.calibration import Correction, Moved
 from sylpose.calibration import save
 from sylpose.numerics.arrays import FloatArray
 from sylpose.report.disagreement import disagreements
-from sylpose.report.files import writing
 from sylpose.results import Trajectory
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.joint import Nudge
@@ -110,6 +109,5 @@ def write_refined(folder: Path, correction: Correction, names: Sequence[str], mo
     if moved:
         rigs[REFINED_END] = at_the_end(correction, names, moved)
     for name, rig in rigs.items():
-        with writing(folder / name):
-            save(rig, folder / name)
+        save(rig, folder / name)
     return [folder / name for name in rigs]

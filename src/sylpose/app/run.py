@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
@@ -10,20 +9,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sylpose.app.checkpoint import CHECKPOINT, fingerprint, load_checkpoint, save_checkpoint
 from sylpose.app.clock import Clock
+from sylpose.app.opening import check_out
 from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
+from sylpose.app.results_folder import ResultsFolder, alone_in
+from sylpose.app.saving import Saver
+from sylpose.app.state import OutputState, RunState
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.frames import FrameSet
 from sylpose.methods import FEATURES, METHODS, MODES, features_of
 from sylpose.network.stepwise import NodesTracker
-from sylpose.report.files import output_folder, writing
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.sync.offsets import find_offsets, retimed
 from sylpose.tracking.tracked_frame import TrackedFrame
-from sylpose.tracking.tracker import Tracker
+from sylpose.tracking.tracker import Memory, Tracker
 
 __all__ = ["CHECKPOINT_SECONDS", "Run", "has_ended", "output_path", "track_session"]
 
@@ -31,8 +32,8 @@ __all__ = ["CHECKPOINT_SECONDS", "Run", "has_ended", "output_path", "track_sessi
 IMAGE_RATE = 2.0
 # With one camera lengths are relative to the object's distance in the first frame (docs/conventions.md).
 ONE_CAMERA_UNIT = "first distances"
-# Seconds between two checkpoints; and they take no more than this share of the time (choice: what one may lose).
-CHECKPOINT_SECONDS, CHECKPOINT_SHARE = 20.0, 0.05
+# Seconds between two checkpoints (choice: what one may lose).
+CHECKPOINT_SECONDS = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +77,11 @@ def output_path(session: Session | LiveSession, out: Path | str | None = None) -
 
 def has_ended(session: Session | LiveSession, out: Path | str | None = None) -> bool:
     """Whether a run wrote its files there and came to its end: there is nothing to resume."""
-    folder = output_path(session, out)
-    return not (folder / CHECKPOINT).exists() and (_folders(session, folder)[0] / "trajectory.csv").exists()
+    return _folder_of(session, out).has_ended
+
+
+def _folder_of(session: Session | LiveSession, out: Path | str | None) -> ResultsFolder:
+    return ResultsFolder(output_path(session, out), session.objects if len(session.objects) > 1 else ())
 
 
 def track_session(
@@ -141,6 +145,10 @@ def track_session(
         OSError: naming the file or folder that cannot be written or read.
     """
     features_of(method, features)
+    if not checkpoint_seconds >= 0:
+        raise ValueError(f"--checkpoint must be a number of seconds, 0 or more, got {checkpoint_seconds}")
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers must be at least 1, got {workers}")
     if distributed is not None:
         _refuse(distributed, session, resume=resume)
     smooth = True if refine_calibration else smooth
@@ -159,42 +167,56 @@ def track_session(
     smooth = _is_smoothed(smooth, session, method, len(range(start, _end(session, stop), max(every, 1))))
     asked = {"method": method, "features": features, "seed": seed, "start": start, "stop": stop, "every": every}
     asked |= {"offsets": offsets or None, "smooth": smooth, "refine_calibration": refine_calibration or None}
-    folder, clock = output_path(session, out), Clock()
+    results, clock = _folder_of(session, out), Clock()
+    check_out(session, results.path)
     frames = session.frames(start, stop, every, said)
     saver = None
     if isinstance(session, Session) and distributed is None:
-        told = {name: "none" if value is None else str(value) for name, value in asked.items()}
-        saver = _Saver(folder / CHECKPOINT, told, fingerprint(session), checkpoint_seconds, said, clock)
-    saved = _load(saver, folder) if resume else None
-    position = 0
-    if saved is not None and isinstance(session, Session):
-        position = saved["position"]
-        frames = _rest(session, start, stop, every, position, said)
-        if on_resume is not None:
-            on_resume(position)
-
-    with ExitStack() as stack:
-        if saved is not None:
-            trackers: dict[str, Tracker | NodesTracker] = saved["trackers"]
-        else:
-            options: dict[str, Any] = {"method": method, "features": features, "offsets": late, "seed": seed}
-            of: Any = partial(Tracker, workers=workers)
-            if distributed is not None:
-                of = partial(NodesTracker, mode=distributed)
-            trackers = {name: of(session.rig, session.of(name).boxes or None, **options) for name in session.objects}
-        for tracker in trackers.values():
-            stack.enter_context(tracker)
-        output_folder(folder)
-        if saved is None:
-            _remove_old(folder)
-        rig = session.rig if len(session.rig) > 1 else Rig(session.rig.cameras, ONE_CAMERA_UNIT)
+        saver = Saver(results.path, asked, session, checkpoint_seconds, said, clock)
+    options: dict[str, Any] = {"method": method, "features": features, "offsets": late, "seed": seed}
+    of: Any = partial(Tracker, workers=workers)
+    if distributed is not None:
+        of = partial(NodesTracker, mode=distributed)
+    rig = session.rig if len(session.rig) > 1 else Rig(session.rig.cameras, ONE_CAMERA_UNIT)
+    if resume and saver is None:
+        raise ValueError("a live session cannot be resumed: what was not tracked then is gone")
+    with ExitStack() as whole:
+        trackers: dict[str, Tracker | NodesTracker] = {}
+        for name in session.objects:
+            trackers[name] = whole.enter_context(of(session.rig, session.of(name).boxes or None, **options))
+        if resume and not results.path.is_dir():
+            raise FileNotFoundError(f"{results.path}: no interrupted run to resume (there is no such folder)")
+        # Up to here nothing was written.
+        whole.enter_context(alone_in(results.path))
+        position, states = 0, {name: OutputState() for name in session.objects}
         outputs: dict[str, ObjectOutput] = {}
-        for name, own in zip(session.objects, _folders(session, folder), strict=True):
-            state = None if saved is None else saved["outputs"][name]
+
+        def begun() -> bool:
+            return position > 0 or any(output.poses for output in outputs.values())
+
+        if resume and saver is not None and isinstance(session, Session):
+            results.recover()
+            saved = saver.load()
+            position, states = saved.position, saved.outputs
+            for name, tracker in trackers.items():
+                if isinstance(tracker, Tracker):
+                    tracker.go_back(saved.trackers[name])
+            frames = _rest(session, start, stop, every, position, said)
+            if on_resume is not None:
+                on_resume(position)
+        else:
+            results.set_aside()
+            whole.push(lambda error, *_: results.put_back() if error is not None and not begun() else None)
+            if saver is not None:
+                saver.begin(RunState(0, _memories(trackers), states))
+
+        stack = whole.enter_context(ExitStack())
+        for name, own in zip(session.objects, results.folders, strict=True):
+            state = None if saver is None else states[name]
             outputs[name] = ObjectOutput(own, rig, clock, smooth=smooth, recalibrate=refine_calibration, resume=state)
             stack.callback(outputs[name].close)
         drawing = None
-        overlay_path = folder / (f"overlay_{start + position * every}.mp4" if position else "overlay.mp4")
+        overlay_path = results.path / (f"overlay_{start + position * every}.mp4" if position else "overlay.mp4")
         if overlay:
             rate = max(session.rate / every, 1.0) if session.rate else IMAGE_RATE
             drawing = stack.enter_context(closing(Overlay(overlay_path, rig, rate, session.objects, clock)))
@@ -209,12 +231,9 @@ def track_session(
                 if on_frame is not None:
                     on_frame(tracked)
 
-        def save() -> None:
-            if saver is not None:
-                saver.save(lambda: _state(position, trackers, outputs))
+        def state_now() -> RunState:
+            return RunState(position, _memories(trackers), {name: output.state() for name, output in outputs.items()})
 
-        if saved is None:
-            save()
         stack.enter_context(closing(frames))
         for frame_set in clock.around("reading", frames):
             for name, tracker in trackers.items():
@@ -223,8 +242,8 @@ def track_session(
                 take(name, decided)
             position += 1
             stopping = interrupted is not None and interrupted()
-            if stopping or (saver is not None and saver.is_due):
-                save()
+            if saver is not None and (stopping or saver.is_due):
+                saver.save(state_now)
             if stopping:
                 raise KeyboardInterrupt
         for name, tracker in trackers.items():
@@ -234,9 +253,8 @@ def track_session(
         for name, output in outputs.items():
             if sentence := output.finish(on_smoothing):
                 said(sentence if len(outputs) == 1 else f"{name}: {sentence}")
-    _remove_checkpoint(folder)
-    for output in outputs.values():
-        output.forget()
+        stack.close()
+        results.end()
     files = [file for output in outputs.values() for file in output.files] + ([overlay_path] if overlay else [])
     trajectories = {name: output.trajectory for name, output in outputs.items()}
     changes = {name: tuple(output.changes) for name, output in outputs.items()}
@@ -254,6 +272,10 @@ def _refuse(distributed: str, session: Session | LiveSession, *, resume: bool) -
         raise ValueError("distributed: nodes are simulated for recordings, not for live cameras")
 
 
+def _memories(trackers: Mapping[str, Tracker | NodesTracker]) -> dict[str, Memory]:
+    return {name: tracker.memory for name, tracker in trackers.items() if isinstance(tracker, Tracker)}
+
+
 def _end(session: Session | LiveSession, stop: int | None) -> int:
     """The frame before which tracking ends; 0 of a live session, where that is not known."""
     if session.n_frames is None:
@@ -269,41 +291,6 @@ def _is_smoothed(asked: bool | None, session: Session | LiveSession, method: str
     return isinstance(session, Session) and method == METHODS[0] and frames <= MAX_SMOOTHED
 
 
-def _folders(session: Session | LiveSession, folder: Path) -> list[Path]:
-    """Of each object: the run's own, or one in it for each of several."""
-    return [folder / name for name in session.objects] if len(session.objects) > 1 else [folder]
-
-
-def _remove_old(folder: Path) -> None:
-    """An earlier run's videos and checkpoint would be taken for this one's."""
-    videos = [file for file in folder.glob("overlay*.mp4") if file.stem[7:].removeprefix("_").isdigit()]
-    for old in [folder / "overlay.mp4", *videos]:
-        with writing(old):
-            old.unlink(missing_ok=True)
-    _remove_checkpoint(folder)
-
-
-def _remove_checkpoint(folder: Path) -> None:
-    """With what a kill while it was written may have left."""
-    for old in (folder / CHECKPOINT, folder / f"{CHECKPOINT}.tmp"):
-        with writing(old):
-            old.unlink(missing_ok=True)
-
-
-def _state(position: int, trackers: Mapping[str, Tracker | NodesTracker], outputs: dict[str, ObjectOutput]) -> object:
-    """What a checkpoint holds: all that the next frames depend on."""
-    states = {name: output.state() for name, output in outputs.items()}
-    return {"position": position, "trackers": trackers, "outputs": states}
-
-
-def _load(saver: _Saver | None, folder: Path) -> Any:
-    if saver is None:
-        raise ValueError("a live session cannot be resumed: what was not tracked then is gone")
-    if not saver.path.exists():
-        raise FileNotFoundError(f"{folder}: no interrupted run to resume (there is no {CHECKPOINT})")
-    return load_checkpoint(saver.path, saver.options, saver.session)
-
-
 def _rest(
     session: Session, start: int, stop: int | None, every: int, position: int, on_problem: Callable[[str], None]
 ) -> Generator[FrameSet, None, None]:
@@ -317,33 +304,3 @@ def _rest(
 def _nothing() -> Generator[FrameSet, None, None]:
     nothing: Iterator[FrameSet] = iter(())
     yield from nothing
-
-
-@dataclass(eq=False)
-class _Saver:
-    """Writes checkpoints now and then; that one cannot be written is a problem, but does not end the run."""
-
-    path: Path
-    options: dict[str, str]
-    session: dict[str, str]
-    seconds: float
-    said: Callable[[str], None]
-    clock: Clock
-    _next: float = field(default=0.0, init=False)
-    _failed: bool = field(default=False, init=False)
-
-    @property
-    def is_due(self) -> bool:
-        return time.monotonic() >= self._next
-
-    def save(self, state: Callable[[], object]) -> None:
-        begin = time.monotonic()
-        with self.clock.part("saving"):
-            try:
-                save_checkpoint(self.path, self.options, self.session, state())
-            except OSError as error:
-                if not self._failed:
-                    self.said(f"{error}; --resume could only go on from an earlier checkpoint.")
-                self._failed = True
-        end = time.monotonic()
-        self._next = end + max(self.seconds, (end - begin) / CHECKPOINT_SHARE if self.seconds else 0.0)

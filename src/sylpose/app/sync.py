@@ -16,13 +16,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from sylpose.app import text
 from sylpose.app.compiling import compile_all
 from sylpose.capture import Session
+from sylpose.files import replacing
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray, Image
-from sylpose.report.files import writing
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.smoothing.trajectory import Track, smooth
-from sylpose.sync.offsets import OFFSETS_FILE, retimed
+from sylpose.sync.offsets import OFFSETS_FILE, load_offsets, retimed
 from sylpose.sync.pulses import Delays, Pulse, coarse_offsets, image_speed, small_grey, split_offsets
 from sylpose.tracking.tracker import track
 
@@ -237,8 +237,8 @@ def write_offsets(synced: Synced, path: Path) -> None:
         lines.append(
             f"{key} = {offset:.6f}  # {known.value}: {about}" if np.isfinite(sd) else f"{key} = 0.0  # {about}"
         )
-    with writing(path):
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with replacing(path) as part:
+        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def sync_aloud(
@@ -259,10 +259,11 @@ def sync_aloud(
         KeyboardInterrupt: with a sentence.
         ValueError, OSError: as `sync_session` and `write_offsets`.
     """
+    path = session.path / OFFSETS_FILE if out is None else out
+    _check_asked(session, out, seed)
     console = text.make_console()
     console.print(text.headline(session))
     text.print_warnings(console, session.warnings)
-    path = session.path / OFFSETS_FILE if out is None else out
     with console.status("Loading (the first time after an installation: compiling, half a minute) ..."):
         compile_all()
     progress = _Watching()
@@ -285,6 +286,19 @@ def sync_aloud(
         write_offsets(synced, path)
         text.print_files(console, "Offsets", [path])
     return synced
+
+
+def _check_asked(session: Session, out: Path | None, seed: int) -> None:
+    """Raises ValueError, before any frame is looked at, for what would only fail at the end, or replace another file."""
+    if seed < 0:
+        raise ValueError(f"--seed must not be negative, got {seed}")
+    if out is not None and not out.parent.is_dir():
+        raise ValueError(f"--out {out}: there is no folder {out.parent}")
+    if out is not None and out.exists():
+        try:
+            load_offsets(out, session.rig.names)
+        except (OSError, ValueError):
+            raise ValueError(f"--out {out}: is there, and no file of offsets that could be replaced") from None
 
 
 def _rows(synced: Synced) -> list[list[str]]:

@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from sylpose.reading import SENTENCE, one_line
 from sylpose.report.disagreement import remarks
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 
@@ -56,7 +57,7 @@ def make_console(*, stderr: bool = False) -> Console:
 
 def say(sentence: str) -> None:
     """What went wrong, on stderr."""
-    print(f"sylpose: {sentence}", file=sys.stderr)
+    print(f"sylpose: {one_line(sentence, SENTENCE)}", file=sys.stderr)
 
 
 def print_facts(console: Console, facts: Iterable[tuple[str, str]]) -> None:
@@ -82,7 +83,7 @@ def print_warnings(console: Console, sentences: Sequence[str]) -> None:
 def _print_entry(console: Console, label: str, style: str, words: str) -> None:
     """Words with a hanging indent; not Rich's own wrapping, which breaks paths and fills lines with spaces."""
     width = max(console.width - len(label), 20)
-    lines = textwrap.wrap(words, width, break_long_words=False, break_on_hyphens=False) or [""]
+    lines = textwrap.wrap(one_line(words, SENTENCE), width, break_long_words=False, break_on_hyphens=False) or [""]
     text = Text.assemble((label, style), f"\n{'':{len(label)}}".join(lines))
     console.print(text, soft_wrap=True)
 

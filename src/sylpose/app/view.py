@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sylpose import calibration
 from sylpose.app import text
-from sylpose.report.files import TrajectoryWriter, output_folder, read_trajectory
+from sylpose.report.files import read_trajectory, write_trajectory
 from sylpose.report.plots import plot_trajectory
 from sylpose.results import Trajectory
 from sylpose.rig import Camera, camera_at
@@ -129,9 +129,7 @@ def write_view(trajectory: Trajectory, name: str, camera: Camera, folder: Path) 
         raise ValueError(f"{name!r} cannot be part of a file's name")
     view = trajectory_view(trajectory, camera)
     stem = f"view_{name}"
-    with TrajectoryWriter(output_folder(folder), view.camera_names, view.unit, stem=stem, world=name) as writer:
-        for pose in view:
-            writer.write(pose)
-    picture = folder / f"view_{name}.png"
+    files = write_trajectory(folder, view, stem=stem, world=name)
+    picture = folder / f"{stem}.png"
     plot_trajectory(view, picture)
-    return [writer.tum_path, writer.csv_path, picture]
+    return [*files, picture]

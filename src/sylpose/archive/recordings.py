@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import re
+import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -17,6 +19,7 @@ from sylpose.calibration.files import is_calibration_name
 from sylpose.capture.names import IMAGE_SUFFIXES
 from sylpose.capture.sources import NO_CAMERAS, VIDEO_SUFFIXES
 from sylpose.methods import FEATURES, METHODS, features_of
+from sylpose.reading import MAX_TABLE, one_line, parsed_toml, told
 
 __all__ = ["Found", "Options", "Recording", "find_recordings"]
 
@@ -132,8 +135,8 @@ def find_recordings(
         other = by_name.setdefault(recording.name, recording)
         if other is not recording:
             raise ValueError(
-                f"{other.url} and {recording.url} would both be called {recording.name}: give the folder that both lie in, "
-                "or names in a manifest"
+                f"{other.url} and {recording.url} would both be called {one_line(recording.name)}: give the folder "
+                "that both lie in, or names in a manifest"
             )
     for name in sorted(by_name):
         if out is not None and out.below(name).url == by_name[name].url:
@@ -218,13 +221,13 @@ def _listed(manifest: str, options: Options, calibration: str | None) -> list[Re
         given = {what: getattr(row, what) for what in ("calibration", "boxes", "masks", "offsets")}
         side = {what: resolved(value, base).url for what, value in given.items() if value is not None}
         if own.folder is not None and not own.folder.is_dir():
-            raise FileNotFoundError(f"{manifest}: {row.path}: no such folder")
+            raise FileNotFoundError(f"{manifest}: {one_line(row.path)}: no such folder")
         files = [file for file in own.files() if not file.name.startswith("sylpose/")]
         if "calibration" not in side and not any(is_calibration_name(Path(f.name)) for f in files):
             side |= _sides(calibration=calibration)
         changed = {key: value for key in Options.__struct_fields__ if (value := getattr(row, key)) is not None}
         called = row.name or (own.url.rpartition("/")[2] if is_url(row.path) else _text(PurePosixPath(row.path)))
-        if not called or any(part in ("", ".", "..") for part in called.split("/")):
+        if not called or any(part in ("", ".", "..") for part in re.split(r"[/\\]", called)):
             called = own.url.rpartition("/")[2]
         chosen = msgspec.structs.replace(options, **changed)
         found.append(Recording(name=called, url=own.url, options=chosen, inputs=_inputs(files, side), **side))
@@ -235,20 +238,25 @@ def _listed(manifest: str, options: Options, calibration: str | None) -> list[Re
 
 def _rows(content: bytes, manifest: str) -> list[_Row]:
     """TOML with a table [[recording]] for each, or CSV with a line for each; an empty cell says nothing."""
+    with told(manifest):
+        return _rows_in(content, manifest)
+
+
+def _rows_in(content: bytes, manifest: str) -> list[_Row]:
     try:
         if manifest.lower().endswith(".toml"):
-            return msgspec.toml.decode(content, type=_Manifest).recording
+            return msgspec.convert(parsed_toml(content.decode("utf-8-sig"), MAX_TABLE), _Manifest).recording
         lines: list[dict[str, Any]] = []
         for line in csv.DictReader(io.StringIO(content.decode("utf-8-sig"))):
             lines.append({(key or "more cells than the header has"): value for key, value in line.items() if value})
         return msgspec.convert(lines, list[_Row], strict=False)
-    except msgspec.MsgspecError as error:
-        raise ValueError(f"{manifest}: {_plain(error)}; columns are {', '.join(_Row.__struct_fields__)}") from None
+    except (msgspec.MsgspecError, tomllib.TOMLDecodeError, csv.Error) as error:
+        raise ValueError(f"{_plain(error)}; columns are {', '.join(_Row.__struct_fields__)}") from None
     except UnicodeDecodeError:
-        raise ValueError(f"{manifest}: is not text") from None
+        raise ValueError("is not text") from None
 
 
-def _plain(error: msgspec.MsgspecError) -> str:
+def _plain(error: Exception) -> str:
     """msgspec's sentence, its path in words: `$.recording[2].start` is recording 3."""
     said, _, path = str(error).partition(" - at `")
     number = path.partition("[")[2].partition("]")[0]

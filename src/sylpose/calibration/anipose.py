@@ -48,7 +48,8 @@ def read(data: dict[str, Any], path: Path) -> Rig:
     for key, table in data.items():
         if key == "metadata":
             continue
-        entry = convert({"error": whole} | table, _NamedTable, f"{path}: camera {key}")
+        told = {"error": whole} | table if isinstance(table, dict) else table
+        entry = convert(told, _NamedTable, f"{path}: camera {key}")
         cameras.append(camera_of(path, entry.name or key, entry))
     return make_rig(path, cameras)
 

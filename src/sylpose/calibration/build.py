@@ -126,7 +126,7 @@ def make_rig(path: Path, cameras: list[Camera], unit: str = "") -> Rig:
 def _array(value: Any, what: str) -> FloatArray:
     try:
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{what} must be numbers, in rows of equal length") from None
     if not np.isfinite(array).all():
         raise ValueError(f"{what} has values that are not finite")

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from sylpose.calibration import anipose, caliscope, filestorage, native
+from sylpose.files import replacing
+from sylpose.reading import parsed_toml, text_of, told
 from sylpose.rig import Rig
 
 __all__ = ["find", "is_calibration_name", "load", "save"]
@@ -50,34 +52,33 @@ def load(path: str | os.PathLike[str]) -> Rig:
 
     Raises:
         OSError: a file that is not there or cannot be read.
-        ValueError: naming the file, and the camera where there is one: not a calibration of a known format; no cameras,
-            or two of the same name; a key that is missing or of the wrong type or shape; a number of distortion terms
-            that OpenCV does not have; a value that is not finite; a matrix that is not a rotation.
+        ValueError: naming the file, and the camera where there is one: no file of text, or too large (`reading`); not a
+            calibration of a known format; no cameras, or two of the same name; a key that is missing or of the wrong type
+            or shape; a number of distortion terms that OpenCV does not have; a value that is not finite, or absurd; a
+            matrix that is not a rotation.
     """
     path = Path(path)
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: not a calibration, which are text; {KNOWN}") from None
-    start = text.lstrip()
-    if start.startswith(("%YAML", "---", "<", "{")):
-        return _read_storage(text, path)
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        # YAML without its header cannot be told from broken TOML but by the name.
-        if path.suffix.lower() in (".yml", ".yaml"):
+    text = text_of(path)
+    with told(path):
+        start = text.lstrip()
+        if start.startswith(("%YAML", "---", "<", "{")):
             return _read_storage(text, path)
-        if path.suffix.lower() == ".toml":
-            raise ValueError(f"{path}: not valid TOML: {error}") from None
-        raise ValueError(f"{path}: not a calibration of a known format; {KNOWN}") from None
-    return _read_toml(data, path)
+        try:
+            data = parsed_toml(text)
+        except tomllib.TOMLDecodeError as error:
+            # YAML without its header cannot be told from broken TOML but by the name.
+            if path.suffix.lower() in (".yml", ".yaml"):
+                return _read_storage(text, path)
+            if path.suffix.lower() == ".toml":
+                raise ValueError(f"not valid TOML: {error}") from None
+            raise ValueError(f"not a calibration of a known format; {KNOWN}") from None
+        return _read_toml(data, path)
 
 
 def save(rig: Rig, path: str | os.PathLike[str]) -> None:
     """Write a rig: sylpose's own TOML, or OpenCV's FileStorage for `.yml`, `.yaml`, `.json` and `.xml`.
 
-    Loading gives the same rig back, bit for bit.
+    Loading gives the same rig back, bit for bit. A file that is there is replaced once the new one is whole.
 
     Raises:
         ValueError: another suffix.
@@ -88,7 +89,8 @@ def save(rig: Rig, path: str | os.PathLike[str]) -> None:
     if suffix not in SUFFIXES:
         raise ValueError(f"{path}: a calibration is written as one of {', '.join(SUFFIXES)}")
     text = native.to_text(rig) if suffix == ".toml" else filestorage.to_text(rig, suffix)
-    path.write_text(text, encoding="utf-8")
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def is_calibration_name(path: Path) -> bool:
@@ -105,14 +107,11 @@ def _read_toml(data: dict[str, Any], path: Path) -> Rig:
         return caliscope.read(data, path)
     if anipose.is_anipose(data):
         return anipose.read(data, path)
-    raise ValueError(f"{path}: not a calibration of a known format; {KNOWN}")
+    raise ValueError(f"not a calibration of a known format; {KNOWN}")
 
 
 def _read_storage(text: str, path: Path) -> Rig:
-    try:
-        data = filestorage.decode(text)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+    data = filestorage.decode(text)
     if not filestorage.is_calibration(data):
-        raise ValueError(f"{path}: not a calibration of a known format; {KNOWN}")
+        raise ValueError(f"not a calibration of a known format; {KNOWN}")
     return filestorage.read(data, path)

@@ -15,8 +15,6 @@ or the usual other names of these (`_NAMES` below), and Multical's `calibration.
 
 from __future__ import annotations
 
-import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +23,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.calibration.build import make_camera, make_pose, make_rig
+from sylpose.calibration.markup import from_json, from_xml, from_yaml
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = ["decode", "is_calibration", "read", "to_text"]
@@ -74,19 +73,12 @@ def decode(text: str) -> Any:
     """The content of a file as dicts, lists, numbers and strings; YAML without its header is taken too.
 
     Raises:
-        ValueError: with the reason, which the caller completes with the file's name.
+        ValueError, RecursionError: with the reason, which `reading.told` completes with the file's name.
     """
     text = text.lstrip()
     if text.startswith("{"):
-        try:
-            return json.loads(text, object_pairs_hook=_unique)
-        except json.JSONDecodeError as error:
-            # OpenCV writes JSON that is none: with comments, and with \' for an apostrophe.
-            return _decode_opencv(text, f"not valid JSON: {error}")
-    if text.startswith("<"):
-        return _decode_opencv(text, "OpenCV cannot read this XML")
-    header = "" if text.startswith("%YAML") else "%YAML:1.0\n" if text.startswith("---") else "%YAML:1.0\n---\n"
-    return _decode_opencv(text, "OpenCV cannot read this YAML; it takes lists in [brackets] only, or use JSON", header)
+        return from_json(text)
+    return from_xml(text) if text.startswith("<") else from_yaml(text)
 
 
 def is_calibration(data: Any) -> bool:
@@ -141,43 +133,6 @@ def to_text(rig: Rig, suffix: str) -> str:
     return str(storage.releaseAndGetString())
 
 
-def _decode_opencv(text: str, failure: str, header: str = "") -> Any:
-    try:
-        storage = cv2.FileStorage(header + text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    except (cv2.error, SystemError) as error:
-        # The binding wraps OpenCV's error in a SystemError. What is for people in it is "(line): reason", late in its
-        # text, before (OpenCV 4) or in (OpenCV 5) the name of a function.
-        reasons = re.findall(
-            r"\((\d+)\): ([A-Z][^'\n]*?)(?: in function|'|$)", str(error.__cause__ or error), re.MULTILINE
-        )
-        if reasons:
-            line, reason = reasons[-1]
-            failure += f" (line {int(line) - header.count(chr(10))}: {reason})"
-        raise ValueError(failure) from None
-    return _content(storage.root())
-
-
-def _content(node: Any) -> Any:
-    if node.isMap():
-        # Keys that are quoted in a YAML file keep their quotes in OpenCV.
-        keys = node.keys()
-        return _unique([(key.strip("\"'"), _content(node.getNode(key))) for key in keys])
-    if node.isSeq():
-        return [_content(node.at(i)) for i in range(node.size())]
-    if node.isInt() or node.isReal():
-        return node.real()
-    return node.string() if node.isString() else None
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    content: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in content:
-            raise ValueError(f"{key!r} is there twice")
-        content[key] = value
-    return content
-
-
 def _camera_nodes(data: dict[str, Any], path: Path) -> list[tuple[str, dict[str, Any]]]:
     """(name, node) of every camera."""
     cameras = data.get("cameras", data)
@@ -195,14 +150,20 @@ def _camera_nodes(data: dict[str, Any], path: Path) -> list[tuple[str, dict[str,
     else:
         raise ValueError(f"{path}: 'cameras' must be a map or a sequence")
     poses = data.get("camera_poses")
-    return [(name, node | _multical_pose(poses, name)) for name, node in nodes] if isinstance(poses, dict) else nodes
+    if not isinstance(poses, dict):
+        return nodes
+    of_camera = _multical_poses(poses)
+    return [(name, node | of_camera.get(name, {})) for name, node in nodes]
 
 
-def _multical_pose(poses: dict[str, Any], name: str) -> dict[str, Any]:
+def _multical_poses(poses: dict[str, Any]) -> dict[str, dict[str, Any]]:
     # Keys are "cam1" or, with a master camera, "cam1_to_MASTER". Either way the pose takes points of the rig's (the
     # master's) frame to camera cam1, whatever the key suggests: multical/io/export_calib.py, export_relative.
-    pose = next((value for key, value in poses.items() if key == name or key.startswith(f"{name}_to_")), None)
-    return pose if isinstance(pose, dict) else {}
+    found: dict[str, dict[str, Any]] = {}
+    for key, pose in poses.items():
+        for name in (key, key.partition("_to_")[0], key.rpartition("_to_")[0]):
+            found.setdefault(name, pose if isinstance(pose, dict) else {})
+    return found
 
 
 def _camera(node: dict[str, Any], name: str, path: Path, whole: float | None) -> Camera:
@@ -240,7 +201,7 @@ def _pose(node: dict[str, Any], name: str, path: Path) -> RigidTransform:
     key, value = given.popitem()
     try:
         matrix = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.empty(0)
     if matrix.shape not in ((3, 4), (4, 4)) or (len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1])):
         raise ValueError(f"{where}: {key} must be a 3x4 or 4x4 matrix [R t]")
@@ -287,5 +248,5 @@ def _pick(node: dict[str, Any], key: str, where: str) -> Any:
     # OpenCV's own matrices, and ROS's.
     try:
         return np.reshape(value["data"], (int(value["rows"]), int(value["cols"]))).tolist()
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         raise ValueError(f"{where}: {names[0]} must be a matrix with rows, cols and as much data") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,7 @@ from sylpose.capture.names import IMAGE_SUFFIXES, belongs_to, image_files, image
 from sylpose.capture.sources import Source
 from sylpose.frames import Box
 from sylpose.numerics.arrays import BoolArray, IntArray
+from sylpose.reading import parsed_toml, text_of, told
 from sylpose.rig import Rig
 
 __all__ = ["UNNAMED", "Masks", "check_first_masks", "find_masks", "load_boxes", "object_names"]
@@ -65,16 +67,22 @@ def load_boxes(path: Path, rig: Rig) -> dict[str, dict[str, Box]]:
         ValueError: naming object and camera: a camera that is unknown, not four finite numbers, no area, or a box that
             is not inside the image; boxes in and outside of tables; an object's name that is no name or has no boxes.
     """
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path}: no such file of boxes")
+    text = text_of(path)
+    with told(path):
+        return _boxes_in(text, rig, path)
+
+
+def _boxes_in(text: str, rig: Rig, path: Path) -> dict[str, dict[str, Box]]:
     try:
-        raw = msgspec.toml.decode(path.read_bytes(), type=dict[str, Any])
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read as TOML ({error})") from None
+        raw = parsed_toml(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"cannot be read as TOML ({error})") from None
     tables = [name for name, value in raw.items() if isinstance(value, dict)]
     if not tables:
         return {UNNAMED: _read_boxes(raw, rig, str(path))} if raw else {}
-    outside = [name for name in raw if name not in tables]
+    outside = [name for name, value in raw.items() if not isinstance(value, dict)]
     if outside:
         raise ValueError(
             f"{path}: {', '.join(outside)} stands outside of the tables of {', '.join(tables)}: either one object without "
@@ -173,10 +181,10 @@ def _check_names(names: Sequence[str], rig: Rig, where: Path) -> None:
             raise ValueError(f"{where}: an object's name is made of letters, digits, - and _, got {name!r}")
         if match_names([name], rig.names):
             raise ValueError(f"{where}: the object {name} has a camera's name ({', '.join(rig.names)})")
+    lower: dict[str, str] = {}
     for name in names:
-        same = [other for other in names if other.lower() == name.lower()]
-        if len(same) > 1:
-            raise ValueError(f"{where}: the objects {' and '.join(same)} differ in capital letters only")
+        if (other := lower.setdefault(name.lower(), name)) != name:
+            raise ValueError(f"{where}: the objects {other} and {name} differ in capital letters only")
 
 
 def _entries(folder: Path) -> list[Path]:

@@ -20,6 +20,7 @@ from sylpose.capture.names import IMAGE_SUFFIXES, image_files, image_numbers, ma
 from sylpose.capture.sources import NO_CAMERAS
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import Image
+from sylpose.reading import resolved
 from sylpose.rig import Camera, Rig
 
 __all__ = ["DONE", "Pace", "check_folders", "read_folders"]
@@ -89,8 +90,9 @@ class _Folder:
             return
         number, name = self._latest
         found = list(re.finditer(r"[0-9]+", Path(name).stem))[self._column]
-        for n in range(max(given + 1, number - PROBES * self.step), number + 3 * self.step + 1):
-            if (n - number) % self.step == 0 and n not in self.files:
+        # In steps, never one by one: numbers may be nanoseconds.
+        for n in range(number - PROBES * self.step, number + 3 * self.step + 1, self.step):
+            if n > given and n not in self.files:
                 digits = str(n).zfill(len(found[0]))
                 self._add(n, self.path / f"{name[: found.start()]}{digits}{name[found.end() :]}")
 
@@ -155,19 +157,14 @@ class _Instant:
             if state == self._failed.get(name):
                 return
             self._failed[name] = state
-            image = read_image(file)
+            image = read_image(file, folder.camera.size)
             if _state(file) != state:  # it is being written
                 del self._failed[name]
                 return
         except (ValueError, OSError) as error:
             self.problems[name] = f"{error}"
             return
-        size = image.shape[1::-1]
-        if size == folder.camera.size:
-            self.images[name] = image
-        else:
-            wanted = folder.camera.size
-            self.problems[name] = f"{file} is {size[0]}x{size[1]}, not {wanted[0]}x{wanted[1]}"
+        self.images[name] = image
 
 
 class _Follower:
@@ -240,7 +237,9 @@ class _Follower:
     def _due(self, instant: _Instant, over: bool) -> bool:
         """Whether there is nothing more to wait for; `over` when nothing more will come."""
         step = min((f.step for f in self._folders if f.step), default=1)
-        gap = 0 <= self._given < instant.number - step
+        gap = (
+            self._given >= 0 and 2 * (instant.number - self._given) > 3 * step
+        )  # nanoseconds are never quite apart alike
         awaited = [f.camera.name for f in self._folders if f.away < PATIENCE]
         if not gap and instant.images.keys() >= set(awaited):
             return True
@@ -305,14 +304,14 @@ def read_folders(
 
 def _find_folders(path: Path, rig: Rig, masks: Path | None) -> dict[str, Path]:
     """The folders that there are up to now, by camera."""
-    others = {folder.resolve() for folder in ([] if masks is None else [masks])}
+    others = {resolved(folder) for folder in ([] if masks is None else [masks])}
     found = {
         entry.name: entry
         for entry in sorted(path.iterdir())
         if entry.is_dir()
         and entry.name[0] != "."
         and (entry.name in rig.names or entry.name.lower() not in NO_CAMERAS)
-        and entry.resolve() not in others
+        and resolved(entry) not in others
     }
     try:
         matched = match_names(found, rig.names)

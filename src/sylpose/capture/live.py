@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+import tomllib
 from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -22,6 +23,7 @@ from sylpose.capture.session import SessionBase, any_of, warn
 from sylpose.capture.sources import Source
 from sylpose.capture.streams import PAUSES, Device, open_device, read_streams
 from sylpose.frames import FrameSet
+from sylpose.reading import parsed_toml, text_of, told
 from sylpose.rig import Rig
 
 __all__ = ["LIVE_FILE", "LiveSession", "is_live", "open_live"]
@@ -162,6 +164,22 @@ def open_live(
         ValueError: naming the file, key or camera that is wrong, and what was expected.
     """
     path = Path(path)
+    with told(path):
+        return _opened(path, calibration, boxes, masks, follow, lossless, idle, max_delay, rate, opener)
+
+
+def _opened(
+    path: Path,
+    calibration: Path | None,
+    boxes: Path | None,
+    masks: Path | None,
+    follow: bool,
+    lossless: bool,
+    idle: float,
+    max_delay: float | None,
+    rate: float | None,
+    opener: OpenDevice,
+) -> LiveSession:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file or folder")
     if follow and not path.is_dir():
@@ -219,12 +237,14 @@ def open_live(
 def _load(file: Path) -> _LiveFile:
     if not file.is_file():
         raise FileNotFoundError(f"{file}: no such file; it says which cameras or streams to read")
-    try:
-        return msgspec.toml.decode(file.read_bytes(), type=_LiveFile)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise ValueError(
-            f"{file}: a table [sources] of camera = device number, path or URL is expected ({error})"
-        ) from None
+    text = text_of(file)
+    with told(file):
+        try:
+            return msgspec.convert(parsed_toml(text), _LiveFile)
+        except (msgspec.MsgspecError, tomllib.TOMLDecodeError) as error:
+            raise ValueError(
+                f"a table [sources] of camera = device number, path or URL is expected ({error})"
+            ) from None
 
 
 def _sources(settings: _LiveFile, rig: Rig, file: Path) -> dict[str, int | str]:

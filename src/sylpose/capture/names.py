@@ -21,15 +21,19 @@ def match_names(found: Iterable[str], cameras: Sequence[str]) -> dict[str, str]:
     Raises:
         ValueError: names that are equal but for what is tolerated, so that the match would not be unique.
     """
-    names = list(found)
-    matched = {name: name for name in names if name in cameras}
+    names, known = list(found), set(cameras)
+    matched = {name: name for name in names if name in known}
     by_key: dict[str, list[str]] = {}
     for camera in cameras:
         if camera not in matched:
             by_key.setdefault(_key(camera), []).append(camera)
+    alike: dict[str, list[str]] = {}
+    for name in names:
+        if name not in known:
+            alike.setdefault(_key(name), []).append(name)
     for name in names:
         candidates = by_key.get(_key(name), []) if name not in matched else []
-        rivals = [other for other in names if other not in cameras and _key(other) == _key(name)]
+        rivals = alike.get(_key(name), [])
         if candidates and len(candidates) + len(rivals) > 2:
             raise ValueError(f"it is not clear which of {', '.join(rivals)} is which camera of {', '.join(candidates)}")
         if candidates:

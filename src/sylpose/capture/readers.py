@@ -91,19 +91,11 @@ class _ImageReader:
         self.ended = False
 
     def read(self, k: int) -> Image | None:
-        file, size = self._source.files[k], self._source.size
         try:
-            image = read_image(file)
+            return read_image(self._source.files[k], self._source.size)
         except (ValueError, OSError) as error:
             self.problems.append(f"{self._source.camera}: {error}; this camera misses the frame.")
             return None
-        if image.shape[1::-1] != size:
-            self.problems.append(
-                f"{self._source.camera}: {file} is {image.shape[1]}x{image.shape[0]}, not {size[0]}x{size[1]}; "
-                "this camera misses the frame."
-            )
-            return None
-        return image
 
     def close(self) -> None:
         pass

@@ -20,6 +20,7 @@ from sylpose.capture.sources import Source, find_sources
 from sylpose.capture.timeline import Timeline, build_timeline, load_timestamps
 from sylpose.frames import Box, FrameSet
 from sylpose.numerics.arrays import BoolArray
+from sylpose.reading import told
 from sylpose.rig import Rig
 
 __all__ = ["Session", "SessionBase", "any_of", "open_session", "warn"]
@@ -190,6 +191,13 @@ def open_session(
         ValueError: naming the file or camera that is wrong, and what was expected.
     """
     path = Path(path)
+    with told(path):
+        return _opened(path, calibration, boxes, masks, offsets)
+
+
+def _opened(
+    path: Path, calibration: Path | None, boxes: Path | None, masks: Path | None, offsets: Mapping[str, int] | None
+) -> Session:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such folder")
     if not path.is_dir():

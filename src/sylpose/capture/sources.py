@@ -12,8 +12,9 @@ import av.error
 from av.container import InputContainer
 from av.video.stream import VideoStream
 
-from sylpose.capture.images import read_image
+from sylpose.capture.images import image_size, read_image
 from sylpose.capture.names import image_files, image_numbers, match_names
+from sylpose.reading import Unreadable, resolved
 from sylpose.rig import Camera, Rig
 
 __all__ = ["NO_CAMERAS", "VIDEO_SUFFIXES", "Source", "find_sources", "open_video", "source_of"]
@@ -21,6 +22,12 @@ __all__ = ["NO_CAMERAS", "VIDEO_SUFFIXES", "Source", "find_sources", "open_video
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv", ".ogv"}
 )
+# FFmpeg tells a format by its content: a file may be a list of others, and of URLs, whatever its name. Only containers
+# with pictures in them are opened, and of them nothing but the file itself.
+ONLY_VIDEOS = {
+    "protocol_whitelist": "file",
+    "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,mpeg,mpegvideo,mpegts,asf,flv,live_flv,ogg",
+}
 # What sylpose writes, or reads as something else than a camera.
 NO_CAMERAS = frozenset({"sylpose", "masks", "overlay"})
 
@@ -66,8 +73,8 @@ def find_sources(
         ValueError: cameras without source and sources without camera (all named), a video that cannot be read,
             an image size that differs from the calibration's.
     """
-    others = {folder.resolve() for folder in not_cameras}
-    found = [entry for entry in sorted(path.iterdir()) if _is_source(entry, rig) and entry.resolve() not in others]
+    others = {resolved(folder) for folder in not_cameras}
+    found = [entry for entry in sorted(path.iterdir()) if _is_source(entry, rig) and resolved(entry) not in others]
     if not found:
         raise ValueError(f"{path}: no videos and no folders of images, one per camera, in this folder")
     by_camera: dict[str, Path] = {}
@@ -106,8 +113,10 @@ def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
     Raises:
         ValueError: naming a file that is no video, or has lost the part that says what it is.
     """
+    if not path.is_file():
+        raise Unreadable(f"{path}: a video is expected, not a folder, a pipe or a device")
     try:
-        container = av.open(str(path), metadata_errors="replace")
+        container = av.open(str(path.absolute()), options=ONLY_VIDEOS, metadata_errors="replace")
     except av.error.FFmpegError as error:
         raise ValueError(f"{path}: cannot be opened as a video ({error.strerror})") from None
     if not container.streams.video:
@@ -140,9 +149,9 @@ def _check_size(path: Path, camera: Camera, size: tuple[int, int]) -> None:
 
 def _probe_images(folder: Path, camera: Camera) -> Source:
     files = image_files(folder)
-    height, width = read_image(files[0]).shape[:2]
-    _check_size(files[0], camera, (width, height))
-    return Source(camera.name, folder, "images", (width, height), len(files), None, tuple(files), image_numbers(files))
+    _check_size(files[0], camera, image_size(files[0]))
+    read_image(files[0], camera.size)
+    return Source(camera.name, folder, "images", camera.size, len(files), None, tuple(files), image_numbers(files))
 
 
 def _probe_video(path: Path, camera: Camera, warnings: list[str]) -> Source:
@@ -152,15 +161,16 @@ def _probe_video(path: Path, camera: Camera, warnings: list[str]) -> Source:
         _check_size(path, camera, size)
         rate = stream.average_rate or stream.guessed_rate
         rate_s = float(rate) if rate else None
-        n_frames = _declared_frames(stream)
+        n_frames = _declared_frames(path, stream)
     return Source(camera.name, path, "video", size, n_frames or _count_frames(path, rate_s, warnings), rate_s)
 
 
-def _declared_frames(stream: VideoStream) -> int:
+def _declared_frames(path: Path, stream: VideoStream) -> int:
     """Frames that the container declares, less those that its edit list hides (a cut made without encoding anew)."""
     entries = stream.index_entries
     hidden = sum(entry.is_discard for entry in entries) if len(entries) == stream.frames else 0
-    return stream.frames - hidden
+    # As many frames as bytes: a lie, of a header that is damaged or worse; they are counted.
+    return stream.frames - hidden if stream.frames < path.stat().st_size else 0
 
 
 def _count_frames(path: Path, rate: float | None, warnings: list[str]) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from sylpose.capture.names import belongs_to
 from sylpose.capture.sources import Source
 from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.reading import MAX_TABLE, text_of, told
 
 __all__ = ["Timeline", "build_timeline", "load_timestamps"]
 
@@ -42,14 +44,19 @@ def load_timestamps(path: Path, cameras: Sequence[str]) -> FloatArray:
     Raises:
         ValueError: naming file and line: other columns, no numbers, times that do not increase, a row without times.
     """
+    text = text_of(path, MAX_TABLE)
+    with told(path):
+        return _stamps_in(text, cameras, path)
+
+
+def _stamps_in(text: str, cameras: Sequence[str], path: Path) -> FloatArray:
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{path}: cannot be read as CSV ({error})") from None
+        reader = csv.reader(io.StringIO(text, newline=""))
+        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise ValueError(f"cannot be read as CSV ({error})") from None
     header = [name.strip() for name in rows[0][1]] if rows else []
-    if header[:1] != ["frame"]:
+    if header[:1] != ["frame"] or len(header) > len(cameras) + 100:
         raise ValueError(f"{path}: line 1: the columns frame, {', '.join(cameras)} are expected")
     matched = belongs_to(header[1:], cameras, f"{path}: line 1")
     if len(set(header)) < len(header) or set(matched.values()) != set(cameras):
@@ -87,8 +94,8 @@ def build_timeline(
         offsets: frames by camera; positive for a camera that starts late.
 
     Raises:
-        ValueError: an unknown camera or a value that is no whole number in `offsets`; both offsets and time stamps;
-            no frame left.
+        ValueError: an unknown camera or a value in `offsets` that is no whole number, or more than there are frames; both
+            offsets and time stamps; no frame left.
     """
     warnings: list[str] = []
     if stamps is not None:
@@ -148,6 +155,11 @@ def _by_count(sources: tuple[Source, ...], offsets: Mapping[str, int], warnings:
             raise ValueError(f"offsets: {camera} is no camera of the calibration ({', '.join(names)})")
         if not isinstance(offset, int | np.integer):
             raise ValueError(f"offsets: the offset of {camera} must be a whole number of frames, got {offset!r}")
+        longest = max(source.n_frames for source in sources)
+        if abs(offset) > longest:
+            raise ValueError(
+                f"offsets: the offset of {camera}, {offset}, is more than the {longest} frames that there are"
+            )
         if offset < 0:
             warnings.append(f"{camera}: its first {-offset} frames lie before instant 0 and are not used.")
     if len({source.n_frames for source in sources}) > 1:
@@ -174,6 +186,7 @@ def _slots(sources: tuple[Source, ...], warnings: list[str]) -> list[IntArray]:
         return slots
     # Equal numbers are one instant, so that an image missing from one folder does not shift those after it.
     union = sorted(set.union(*usable))
+    place = {number: k for k, number in enumerate(union)}  # numbers may have more digits than integers of arrays
     for c, values in numbers.items():
         missing = sorted(set(union) - set(values or ()))
         if missing:
@@ -181,5 +194,5 @@ def _slots(sources: tuple[Source, ...], warnings: list[str]) -> list[IntArray]:
                 f"{sources[c].camera}: {len(missing)} images that other cameras have are missing, "
                 f"the first is number {missing[0]} (equal numbers are one instant)."
             )
-        slots[c] = np.searchsorted(union, values or ())
+        slots[c] = np.array([place[number] for number in values or ()], dtype=np.int64)
     return slots

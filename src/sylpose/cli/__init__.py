@@ -7,6 +7,7 @@ not need.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from typing import Annotated
@@ -27,6 +28,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a terminal without "°" gets "?" and not a crash
             stream.reconfigure(errors="replace")
+    # OpenCV would write lines of its own about images that it cannot decode.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     try:
         app(args=None if argv is None else list(argv), prog_name="sylpose")
     except SystemExit as end:

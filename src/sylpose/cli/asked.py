@@ -10,6 +10,8 @@ from typing import Annotated, NoReturn, ParamSpec
 
 import typer
 
+from sylpose.reading import SENTENCE, one_line
+
 __all__ = [
     "INTERRUPTED",
     "WRONG_INPUT",
@@ -75,7 +77,8 @@ def spoken(command: Callable[P, None]) -> Callable[P, None]:
 
 
 def say(sentence: str) -> None:
-    print(f"sylpose: {sentence}", file=sys.stderr)
+    # One line whatever was read, names of files included.
+    print(f"sylpose: {one_line(sentence, SENTENCE)}", file=sys.stderr)
 
 
 def sentence_of(error: ValueError | OSError) -> str:

@@ -28,9 +28,7 @@ def convert(
     OpenCV FileStorage.
     """
     from sylpose import calibration
-    from sylpose.report.files import writing
 
     rig = calibration.load(source)
-    with writing(target):
-        calibration.save(rig, target)
+    calibration.save(rig, target)
     print(f"{target}: {len(rig)} cameras ({', '.join(rig.names)})")

@@ -178,9 +178,6 @@ class Steadied:
         self.seen = cv2.erode(self.seen.astype(np.uint8), around).astype(bool)
         self._maps: Any = cv2.convertMaps(source, np.empty(0, np.float32), cv2.CV_16SC2)
 
-    def __reduce__(self) -> tuple[type[Steadied], tuple[Camera, FloatArray]]:
-        return Steadied, (self.camera, self.rotation)
-
     def image(self, image: Image) -> Image:
         """An image (h, w, 3) or (h, w) turned back; outside of `seen` (h, w) there is nothing to be seen in it."""
         return np.asarray(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -68,6 +69,11 @@ class Features:
 
     def __len__(self) -> int:
         return len(self.pixels)
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Of the pixels."""
+        return cKDTree(self.pixels)
 
     def subset(self, index: IntArray | BoolArray) -> Features:
         """The keypoints that a mask or an index array picks."""
@@ -184,10 +190,9 @@ def match_where_expected(
     rows = np.flatnonzero(np.isfinite(ends).all(axis=(1, 2)))
     if not len(rows) or not len(b):
         return np.empty((0, 2), np.int64)
-    tree = cKDTree(b.pixels)
     start, along = ends[rows, 0], ends[rows, 1] - ends[rows, 0]
     length = np.linalg.norm(along, axis=1)
-    near = tree.query_ball_point(start + along / 2, length / 2 + reach_px)
+    near = b.tree.query_ball_point(start + along / 2, length / 2 + reach_px)
     counts = np.array([len(index) for index in near])
     row, column = np.repeat(np.arange(len(rows)), counts), np.concatenate([*map(np.asarray, near)]).astype(np.int64)
     away = b.pixels[column] - start[row]
@@ -216,7 +221,7 @@ def seen_before(features: Features, earlier: Features, still_px: float = STILL_P
     look."""
     if len(features) == 0 or len(earlier) == 0:
         return np.zeros(len(features), bool)
-    gap, nearest = cKDTree(earlier.pixels).query(features.pixels, 3, distance_upper_bound=still_px)
+    gap, nearest = earlier.tree.query(features.pixels, 3, distance_upper_bound=still_px)
     out, near = np.zeros(len(features), bool), np.isfinite(gap).any(axis=1)
     theirs = earlier.descriptors[np.minimum(nearest[near], len(earlier) - 1)]
     similar = np.einsum("nd,nkd->nk", features.descriptors[near], theirs)

@@ -12,12 +12,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.known_model.pose_kernels import (
     Views,
+    by_chance,
+    drawn_good,
     fit,
     information,
     minimize,
     score,
     search,
-    squares_of,
 )
 from sylpose.known_model.pose_noise import CUTOFF, Noise
 from sylpose.numerics.arrays import FloatArray, IntArray
@@ -153,14 +154,12 @@ def _checked(camera: Camera, name: str, values: ArrayLike, width: int) -> FloatA
 
 def _enough(model: FloatArray, camera: IntArray) -> bool:
     """Whether at least `MIN_MATCHES` different points are seen, each point counted once per camera."""
-    if len(model) > 10 * MIN_MATCHES and _enough(model[: 10 * MIN_MATCHES], camera[: 10 * MIN_MATCHES]):
-        return True
-    for _ in range(MIN_MATCHES - 1):
-        if not len(model):
-            return False
-        other = (model != model[0]).any(axis=1) | (camera != camera[0])
-        model, camera = model[other], camera[other]
-    return len(model) > 0
+    different = set()
+    for k in range(len(model)):
+        different.add((camera[k], *model[k]))
+        if len(different) == MIN_MATCHES:
+            return True
+    return False
 
 
 def _views(cameras: Sequence[Camera], model: FloatArray, pixels: Sequence[FloatArray]) -> tuple[FloatArray, Views]:
@@ -220,12 +219,15 @@ def _best_poses(views: Views, top: float, thin: FloatArray, rng: np.random.Gener
         pose = _fitted(few, rotation, place, top)
         if pose is not None and not _known(poses, pose.rotation):
             poses.append(pose)
-    poses.sort(key=lambda pose: _log_chance(few, pose))
+    poses = _best_first(few, poses)
     if few is not views:
         fitted = [_fitted(views, pose.rotation, pose.place, top) for pose in poses[:2]]
-        poses = [pose for pose in fitted if pose is not None]
-        poses.sort(key=lambda pose: _log_chance(views, pose))
+        poses = _best_first(views, [pose for pose in fitted if pose is not None])
     return poses
+
+
+def _best_first(views: Views, poses: list[_Pose]) -> list[_Pose]:
+    return sorted(poses, key=lambda pose: _log_chance(views, pose)) if len(poses) > 1 else poses
 
 
 def _subset(views: Views, rng: np.random.Generator) -> Views:
@@ -253,11 +255,7 @@ def _subset(views: Views, rng: np.random.Generator) -> Views:
 
 def _samples(views: Views, rotation: FloatArray, place: FloatArray, top: float) -> int:
     """How many samples it takes that one, but for a chance of `MISSED`, is free of outliers."""
-    squares = np.empty(len(views.points))
-    squares_of(views, rotation, place, squares)
-    good = squares < top
-    by_camera = np.add.reduceat(good, views.start[:-1]) / np.diff(views.start)
-    share = 0.5 * (good.mean() ** 3 + by_camera.mean() ** 3)
+    share = drawn_good(views, rotation, place, top)
     if share >= 1.0:
         return MIN_SAMPLES
     return int(np.clip(np.log(MISSED) / np.log1p(-max(share, 1e-9)), MIN_SAMPLES, MAX_SAMPLES))
@@ -299,14 +297,7 @@ def _log_chance(views: Views, pose: _Pose) -> float:
 
     Source: Moisan & Stival, a contrario RANSAC, 2004.
     """
-    agree = pose.weights > 0
-    n, k = len(agree), int(agree.sum())
-    by = views.to_pixels[views.start[:-1]]
-    focals = np.sqrt(np.abs(by[:, 0] * by[:, 3] - by[:, 1] * by[:, 2]))
-    depths = views.turns[:, 2] @ pose.place + views.shifts[:, 2]
-    size = focals * np.sqrt((views.points**2).sum() / n) / np.maximum(depths, 1e-300)
-    share = np.clip(CUTOFF**2 * pose.noise.variances / size**2, 1e-12, 1.0)
-    log_share = float(np.add.reduceat(agree, views.start[:-1], dtype=float) @ np.log(share))
+    n, (k, log_share) = len(pose.weights), by_chance(views, pose.place, pose.weights, pose.noise)
     choices = lgamma(n + 1) - lgamma(n - k + 1) - lgamma(4) - lgamma(k - 2)
     return float(np.log(n) + choices + (k - 3) / k * log_share)
 

@@ -25,7 +25,7 @@ from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.compiled import cholesky_solve, kernel, leaf, turn_by
 from sylpose.numerics.robust import BIQUARTIC_BOUND, biquartic, biquartic_loss
 
-__all__ = ["Views", "fit", "information", "minimize", "score", "search", "squares_of"]
+__all__ = ["Views", "by_chance", "drawn_good", "fit", "information", "minimize", "score", "search"]
 
 
 # Rounds of re-weighting at the median's noise level (choice).
@@ -90,20 +90,51 @@ def _seen(views: Views, k: int, turn: FloatArray, shift: FloatArray) -> tuple[fl
     return depth, u, v, by[k, 0] * du + by[k, 1] * dv, by[k, 2] * du + by[k, 3] * dv
 
 
-@kernel
-def squares_of(views: Views, rotation: FloatArray, place: FloatArray, out: FloatArray) -> None:
-    """out (n,): squared reprojection errors, pixels; infinite behind a camera."""
-    _squares(views, rotation, place, out, _make_room())
-
-
 @leaf
 def _squares(views: Views, rotation: FloatArray, place: FloatArray, out: FloatArray, room: Room) -> None:
+    """out (n,): squared reprojection errors, pixels; infinite behind a camera."""
     turn, shift, _ = room
     for c in range(len(views.turns)):
         _camera_from_model(views, c, rotation, place, turn, shift)
         for k in range(views.start[c], views.start[c + 1]):
             depth, _, _, r0, r1 = _seen(views, k, turn, shift)
             out[k] = r0 * r0 + r1 * r1 if depth > 0.0 else np.inf
+
+
+@kernel
+def drawn_good(views: Views, rotation: FloatArray, place: FloatArray, top: float) -> float:
+    """The share of `search`'s samples whose three matches are all within sqrt(top) pixels of a pose."""
+    squares = np.empty(len(views.points))
+    _squares(views, rotation, place, squares, _make_room())
+    n_cameras, good, by_camera = len(views.turns), 0, 0.0
+    for c in range(n_cameras):
+        first, end, of_camera = views.start[c], views.start[c + 1], 0
+        for k in range(first, end):
+            of_camera += squares[k] < top
+        good += of_camera
+        by_camera += of_camera / (end - first)
+    return 0.5 * ((good / len(squares)) ** 3 + (by_camera / n_cameras) ** 3)
+
+
+@kernel
+def by_chance(views: Views, place: FloatArray, weights: FloatArray, noise: Noise) -> tuple[int, float]:
+    """Of the matches that agree with a pose, by their weights (n,): how many they are, and the sum of the logarithms of how
+    likely random ones do: the share of the object's image that a circle of `CUTOFF` sigma covers."""
+    square, agree, log_share = 0.0, 0, 0.0
+    for k in range(len(views.points)):
+        for i in range(3):
+            square += views.points[k, i] ** 2
+    radius = np.sqrt(square / len(views.points))
+    for c in range(len(views.turns)):
+        of_camera = 0
+        for k in range(views.start[c], views.start[c + 1]):
+            of_camera += weights[k] > 0.0
+        q, by = views.turns[c, 2], views.to_pixels[views.start[c]]
+        depth = max(q[0] * place[0] + q[1] * place[1] + q[2] * place[2] + views.shifts[c, 2], 1e-300)
+        size = np.sqrt(abs(by[0] * by[3] - by[1] * by[2])) * radius / depth
+        log_share += of_camera * np.log(min(max(CUTOFF**2 * noise.variances[c] / size**2, 1e-12), 1.0))
+        agree += of_camera
+    return agree, log_share
 
 
 @kernel

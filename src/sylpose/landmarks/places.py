@@ -189,11 +189,13 @@ def depth_prior(
         distance (n,) from the camera; sd (n,).
     """
     n = len(features)
+    if n == 0:
+        return np.empty(0), np.empty(0)
     points = world_from_object.apply(cloud).reshape(-1, 3)
     pixels = camera.project(points)
     seen = np.isfinite(pixels).all(axis=1)
     middle = float(np.linalg.norm(world_from_object.translation - camera.center))
-    if seen.sum() < NEIGHBOURS or n == 0:
+    if seen.sum() < NEIGHBOURS:
         return np.full(n, middle), np.full(n, radius)
     distance = np.linalg.norm(points[seen] - camera.center, axis=1)
     gap, index = cKDTree(pixels[seen]).query(features.pixels, NEIGHBOURS)

@@ -76,14 +76,16 @@ class LandmarkTable:
 
     def keep(self, numbers: IntArray) -> None:
         """Forgets all but those with some numbers, once they are less than half of all."""
-        used = np.unique(numbers)
-        if 2 * len(used) < self._used:
-            self._rows, self._used = self._rows.subset(self._at(used)), len(used)
+        used = np.zeros(self._used, bool)
+        used[self._at(numbers)] = True
+        if 2 * np.count_nonzero(used) < self._used:
+            rows = np.flatnonzero(used)
+            self._rows, self._used = self._rows.subset(rows), len(rows)
 
     def _at(self, numbers: IntArray) -> IntArray:
         """(n,) the rows of numbers (n,) that are there."""
         rows = np.searchsorted(self._rows.id[: self._used], numbers)
-        assert np.array_equal(self._rows.id[rows], numbers)
+        assert (self._rows.id[rows] == numbers).all()
         return np.asarray(rows)
 
 

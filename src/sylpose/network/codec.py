@@ -9,9 +9,7 @@ function: it is data.
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass
-from functools import cache
-from types import NoneType, UnionType
-from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -21,6 +19,7 @@ from sylpose.landmarks.alignment import Sights
 from sylpose.landmarks.told import Judges, Says
 from sylpose.network.arrays import array_packed, array_unpacked
 from sylpose.network.roll import Roll
+from sylpose.numerics.fields import Shapes, check_shapes, fields_of, typed
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.handover import Handover, Waited
@@ -51,9 +50,8 @@ T = TypeVar("T")
 LARGEST = 4_000_000
 # No number of a pose comes near it (choice).
 LARGEST_NUMBER = 1e30
-# What may be sent, and the shapes of its arrays, a letter being the same number in all of a record. The order is the wire's:
-# new ones go to the end.
-SHAPES: dict[type[Any], dict[str, tuple[int | str, ...]]] = {
+# What may be sent, and the shapes of its arrays. The order is the wire's: new ones go to the end.
+SHAPES: dict[type[Any], Shapes] = {
     Says: {"upper": (27,)},
     Judges: {},
     Following: {},
@@ -159,59 +157,22 @@ def _extension(code: int, content: memoryview) -> Any:
         content_of = msgspec.msgpack.decode(data, ext_hook=_extension)
     except (msgspec.DecodeError, RecursionError) as error:
         raise ValueError(f"no record: {error}") from None
-    kind, hints = RECORDS[code], _hints(code)
+    kind = RECORDS[code]
+    hints = fields_of(kind)
     if not isinstance(content_of, list) or len(content_of) != len(hints):
         raise ValueError(f"no {kind.__name__}: it has {len(hints)} fields")
     record = kind(*(_checked(kind, name, hint, v) for (name, hint), v in zip(hints, content_of, strict=True)))
-    lengths: dict[str, int] = {}
-    for name, shape in SHAPES[kind].items():
-        if getattr(record, name) is None:
-            continue
-        got = getattr(record, name).shape
-        if len(got) != len(shape) or any(
-            n != (lengths.setdefault(wanted, n) if isinstance(wanted, str) else wanted)
-            for n, wanted in zip(got, shape, strict=True)
-        ):
-            raise ValueError(f"no {kind.__name__}: {name} has the shape {got}")
+    check_shapes(record, SHAPES[kind])
     return record
-
-
-@cache
-def _hints(number: int) -> list[tuple[str, Any]]:
-    """The fields of a record in order, and their types."""
-    hints = get_type_hints(RECORDS[number])
-    return [(field.name, hints[field.name]) for field in fields(RECORDS[number])]
 
 
 def _checked(kind: type[Any], name: str, hint: Any, value: Any) -> Any:
     """The value of a field, if it is of its type."""
-    good = _typed(hint, value)
-    if good is None and value is not None:
-        raise ValueError(f"no {kind.__name__}: {name} is a {type(value).__name__}")
-    if value is None and NoneType not in get_args(hint):
-        raise ValueError(f"no {kind.__name__}: {name} is missing")
-    return good
-
-
-def _typed(hint: Any, value: Any) -> Any:
-    """The value as its type has it; None where it is of another."""
-    origin = get_origin(hint)
-    if origin is UnionType:
-        found = (_typed(part, value) for part in get_args(hint) if part is not NoneType)
-        return next((one for one in found if one is not None), None)
-    if origin is tuple:
-        if not isinstance(value, list):
-            return None
-        parts = [_typed(get_args(hint)[0], part) for part in value]
-        return None if any(part is None for part in parts) else tuple(parts)
-    if origin is np.ndarray:
-        kind = np.dtype(get_args(get_args(hint)[1])[0]).kind
-        if not isinstance(value, np.ndarray) or value.dtype.kind != kind.replace("b", "i"):
-            return None
-        return value.astype(bool) if kind == "b" else value
-    if hint is float:
-        return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
-    return value if type(value) is hint else None
+    try:
+        return typed(hint, value)
+    except TypeError:
+        what = "is missing" if value is None else f"is a {type(value).__name__}"
+        raise ValueError(f"no {kind.__name__}: {name} {what}") from None
 
 
 def _like(told: Any, nothing: Any) -> Any:

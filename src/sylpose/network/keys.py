@@ -11,6 +11,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from sylpose.files import output_folder, replacing
+
 __all__ = ["LISTENER", "access_rules", "make_keys", "tls_settings"]
 
 # Days for which keys are good (choice: the life of a rig).
@@ -38,15 +40,15 @@ def make_keys(folder: Path, names: Sequence[str], hosts: Sequence[str] = ()) -> 
 
     for name in {LISTENER, "ca", "sylpose"} & set(names):
         raise ValueError(f"camera {name!r}: the key of that name is another one's")
-    folder.mkdir(parents=True, exist_ok=True)
+    output_folder(folder)
     now, written = datetime.now(UTC), []
 
     def subject(name: str) -> x509.Name:
         return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
 
     def put(path: Path, data: bytes, *, secret: bool) -> None:
-        path.touch(mode=0o600 if secret else 0o644)
-        path.write_bytes(data)
+        with replacing(path, mode=0o600 if secret else 0o644) as part:
+            part.write_bytes(data)
         written.append(path)
 
     def pem(key: ec.EllipticCurvePrivateKey) -> bytes:

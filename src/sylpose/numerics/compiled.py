@@ -15,6 +15,7 @@ import numpy as np
 from numba.core.options import DefaultOptions
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.kernel_cache import keep
 
 __all__ = [
     "cholesky",
@@ -44,7 +45,7 @@ def kernel(function: F) -> F:
 
     Division by zero gives inf or NaN as in NumPy, and the interpreter's lock is released while it runs.
     """
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return cast(F, keep(numba.njit(nogil=True, error_model="numpy")(function)))
 
 
 def leaf(function: F) -> F:
@@ -52,7 +53,7 @@ def leaf(function: F) -> F:
 
     Counting takes the processor a hundred cycles for each array of a record, in and out again: as long as many a leaf runs.
     """
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)(function))
+    return cast(F, keep(numba.njit(nogil=True, error_model="numpy", **UNCOUNTED)(function)))
 
 
 @leaf

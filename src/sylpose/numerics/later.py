@@ -5,28 +5,25 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cache, partial
-from typing import Any, Generic, ParamSpec, TypeVar
+from functools import cache
+from typing import Any, Generic, TypeVar
 
 __all__ = ["Later"]
 
 T = TypeVar("T")
-P = ParamSpec("P")
 
 
 class Later(Generic[T]):
     """What a function returns for some arguments, which nobody may change any more; computed in the order of asking, by half
     of the processor's cores at most.
 
-    Saved and loaded again, it begins anew, and comes to the same.
+    Attributes:
+        asked: the function and its arguments: what begins with these anew comes to the same.
     """
 
-    def __init__(self, function: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> None:
-        self._do = partial(function, *arguments, **named)
-        self._future: Future[T] = _threads(os.getpid()).submit(self._do)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Later, (self._do,)
+    def __init__(self, function: Callable[..., T], *arguments: Any) -> None:
+        self.asked = function, arguments
+        self._future: Future[T] = _threads(os.getpid()).submit(function, *arguments)
 
     def value(self) -> T:
         """Waits for it. Raises what the function raised."""

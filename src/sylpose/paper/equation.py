@@ -328,7 +328,8 @@ def _solve_triangular(s1: Array, s2: Array, p1: Array, p2: Array, f: Array) -> A
 
 
 def _first_singular(sigma: FloatArray, least: FloatArray, batch: tuple[int, ...]) -> tuple[int, ...] | None:
-    singular = np.broadcast_to(~(sigma > least), batch)
+    # Of the zero operator, whose size is zero, Schur forms tell no σ.
+    singular = np.broadcast_to(~(sigma > least) | (least == 0), batch)
     return tuple(int(i) for i in np.argwhere(singular)[0]) if singular.any() else None
 
 

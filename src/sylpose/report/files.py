@@ -6,8 +6,8 @@ import csv
 import io
 import math
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.files import beside, output_folder, replacing, writing
 from sylpose.numerics.arrays import FloatArray
+from sylpose.reading import MAX_TABLE, text_of, told
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 
-__all__ = ["TrajectoryWriter", "WriterState", "output_folder", "read_trajectory", "read_tum", "write_tum", "writing"]
+__all__ = ["TrajectoryWriter", "WriterState", "read_trajectory", "read_tum", "write_trajectory", "write_tum"]
 
 
 _POSE_COLUMNS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
@@ -28,29 +30,6 @@ _ANGLE_COLUMNS = ("pan_deg", "tilt_deg", "roll_deg")
 _SD_COLUMNS = ("rx_sd_deg", "ry_sd_deg", "rz_sd_deg", "tx_sd", "ty_sd", "tz_sd")
 _COLUMNS = ("index", "time", "status", "observable", "unit", *_POSE_COLUMNS, *_ANGLE_COLUMNS, *_SD_COLUMNS)
 _SD_TO_RADIANS = np.array([np.pi / 180] * 3 + [1.0] * 3)
-
-
-@contextmanager
-def writing(path: Path | str) -> Iterator[None]:
-    """Turns any OSError of the block into one with a sentence that names `path`."""
-    try:
-        yield
-    except OSError as error:
-        raise OSError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from error
-
-
-def output_folder(path: Path | str) -> Path:
-    """The folder, made with its parents when it is not there.
-
-    Raises:
-        OSError: naming the folder, when it is a file or cannot be made.
-    """
-    folder = Path(path)
-    if folder.exists() and not folder.is_dir():
-        raise OSError(f"cannot write into {folder}: it is a file, a folder was expected")
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    return folder
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +49,8 @@ class WriterState:
 class TrajectoryWriter:
     """Writes `trajectory.tum` and `trajectory.csv` frame by frame; what was written survives a crash.
 
-    A context manager. Files of these names in `out_dir` are replaced. Each line goes to the operating system whole and at
+    A context manager. Files of these names in `out_dir` are replaced (`write_trajectory` leaves them until the new ones are
+    whole). Each line goes to the operating system whole and at
     once. The quaternion's sign is the one nearer to the frame before. A frame that was written before takes the place of
     what was written then, and of all that came after it: frames are told in order, once.
 
@@ -86,7 +66,8 @@ class TrajectoryWriter:
         unit: the calibration's length unit, or "".
         stem: another name for the files.
         world: what the poses are told in, if not in the world.
-        resume: of an earlier writer of the same files: what was written after it is cut off, and the rest goes on.
+        resume: of an earlier writer of the same files, to go on from there. What was written since is written over, as it
+            should be by the same bytes, and is not cut before `cut_rest`: a run that fails once more leaves no less.
 
     Raises:
         OSError: naming the file or folder that cannot be written.
@@ -114,7 +95,7 @@ class TrajectoryWriter:
         self._tum = _open(self.tum_path, None if resume is None else resume.tum_bytes)
         try:
             self._csv = _open(self.csv_path, None if resume is None else resume.csv_bytes)
-            if resume is None:
+            if resume is None or not resume.csv_bytes:
                 self._put(self._tum, self.tum_path, _tum_header(unit, world))
                 self._put(self._csv, self.csv_path, _csv_line([*_COLUMNS, *per_camera, "faults"]))
         except (OSError, ValueError):
@@ -127,6 +108,17 @@ class TrajectoryWriter:
             with writing(path):
                 os.fsync(file.fileno())
         return WriterState(self._tum.tell(), self._csv.tell(), self._quaternion)
+
+    def written(self) -> Trajectory:
+        """The frames up to here, as they were rounded in the file."""
+        length = self._csv.tell()
+        return _trajectory_in(self.csv_path.read_bytes()[:length].decode())
+
+    def cut_rest(self) -> None:
+        """Nothing follows in the files on what was written."""
+        for file, path in ((self._tum, self.tum_path), (self._csv, self.csv_path)):
+            with writing(path):
+                file.truncate(file.tell())
 
     def __enter__(self) -> Self:
         return self
@@ -195,16 +187,15 @@ class TrajectoryWriter:
 
 
 def _open(path: Path, length: int | None) -> io.FileIO:
-    """A file to append to: a new one, or one that is cut to its first `length` bytes."""
+    """A file to write to: a new one, or after its first `length` bytes; of one that was begun there may be nothing yet."""
     # Without a buffer of its own, a line is with the operating system as soon as `write` returns.
-    if length is None:
+    if length is None or (length == 0 and not path.exists()):
         with writing(path):
             return path.open("wb", buffering=0)
     if not path.is_file() or path.stat().st_size < length:
         raise ValueError(f"{path}: is not as the interrupted run left it, which cannot be gone on with")
     with writing(path):
         file = path.open("r+b", buffering=0)
-        file.truncate(length)
         file.seek(length)
     return file
 
@@ -216,25 +207,32 @@ def read_trajectory(path: Path | str) -> Trajectory:
         FileNotFoundError: no such file.
         ValueError: naming the file and the line, for missing columns or cells that are not what they should be.
     """
-    path = Path(path)
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        rows = csv.reader(file)
-        header = next(rows, [])
-        missing = [name for name in _COLUMNS if name not in header and name != "observable"]
-        names = [name.removeprefix("inliers_") for name in header if name.startswith("inliers_")]
-        missing += [f"residual_px_{name}" for name in names if f"residual_px_{name}" not in header]
-        if missing:
-            raise ValueError(f"{path}: not a trajectory of sylpose, columns missing: {', '.join(missing)}")
-        frames, unit = [], ""
-        for row in rows:
-            if not row:
-                continue
-            try:
-                cells = dict(zip(header, row, strict=True))
-                frames.append(_frame(cells, names))
-            except ValueError as error:
-                raise ValueError(f"{path}, line {rows.line_num}: {error}") from error
-            unit = cells["unit"]
+    text = text_of(Path(path), MAX_TABLE)
+    with told(path):
+        return _trajectory_in(text)
+
+
+def _trajectory_in(text: str) -> Trajectory:
+    rows = csv.reader(io.StringIO(text, newline=""))
+    header = next(rows, [])
+    known = set(header)
+    missing = [name for name in _COLUMNS if name not in known and name != "observable"]
+    names = [name.removeprefix("inliers_") for name in header if name.startswith("inliers_")]
+    missing += [f"residual_px_{name}" for name in names if f"residual_px_{name}" not in known]
+    if missing:
+        raise ValueError(f"not a trajectory of sylpose, columns missing: {', '.join(missing)}")
+    frames, unit = [], ""
+    for row in rows:
+        if not row:
+            continue
+        try:
+            if len(row) != len(header):
+                raise ValueError(f"{len(header)} columns are expected, got {len(row)}")
+            cells = dict(zip(header, row, strict=True))
+            frames.append(_frame(cells, names))
+        except (ValueError, OverflowError) as error:
+            raise ValueError(f"line {rows.line_num}: {error}") from None
+        unit = cells["unit"]
     return Trajectory(frames, names, unit)
 
 
@@ -264,6 +262,28 @@ def _frame(cells: dict[str, str], names: Sequence[str]) -> FramePose:
     )
 
 
+def write_trajectory(
+    folder: Path | str, trajectory: Trajectory, *, stem: str = "trajectory", world: str = "world"
+) -> list[Path]:
+    """Writes `STEM.tum` and `STEM.csv`, as a `TrajectoryWriter` does, each whole before it takes an older one's place.
+
+    Returns:
+        these files.
+
+    Raises:
+        OSError: naming the file or folder that cannot be written.
+    """
+    paths = [output_folder(folder) / f"{stem}{suffix}" for suffix in (".tum", ".csv")]
+    with ExitStack() as whole:
+        for path in paths:
+            whole.enter_context(replacing(path))
+        part = beside(paths[0]).stem
+        with TrajectoryWriter(folder, trajectory.camera_names, trajectory.unit, stem=part, world=world) as writer:
+            for pose in trajectory:
+                writer.write(pose)
+    return paths
+
+
 def write_tum(path: Path | str, times: ArrayLike, world_from_object: RigidTransform, unit: str = "") -> None:
     """Writes poses as TUM text, `time tx ty tz qx qy qz qw`, quaternions continuous in sign.
 
@@ -287,8 +307,8 @@ def write_tum(path: Path | str, times: ArrayLike, world_from_object: RigidTransf
     for time, position, q in zip(times, positions, quaternions, strict=True):
         quaternion = _continued(q, quaternion)
         lines.append(_tum_line(time, position, quaternion))
-    with writing(path):
-        Path(path).write_text("".join(lines), encoding="utf-8")
+    with replacing(path) as part:
+        part.write_text("".join(lines), encoding="utf-8")
 
 
 def read_tum(path: Path | str) -> tuple[FloatArray, RigidTransform]:
@@ -298,18 +318,18 @@ def read_tum(path: Path | str) -> tuple[FloatArray, RigidTransform]:
         FileNotFoundError: no such file.
         ValueError: naming the file and the line, when it does not have 8 finite numbers.
     """
-    path = Path(path)
     rows = []
-    for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1):
+    for number, line in enumerate(text_of(Path(path), MAX_TABLE).splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        try:
-            row = np.array([float(word) for word in line.split()])
-            if row.shape != (8,):
-                raise ValueError(f"expected 'time tx ty tz qx qy qz qw', got {row.size} numbers")
-            _transforms(row[None, 1:])
-        except ValueError as error:
-            raise ValueError(f"{path}, line {number}: {error}") from error
+        with told(path):
+            try:
+                row = np.array([float(word) for word in line.split()])
+                if row.shape != (8,) or not np.isfinite(row[0]):
+                    raise ValueError(f"expected 'time tx ty tz qx qy qz qw', got {row.size} numbers")
+                _transforms(row[None, 1:])
+            except ValueError as error:
+                raise ValueError(f"line {number}: {error}") from None
         rows.append(row)
     table = np.array(rows).reshape(-1, 8)
     return table[:, 0], _transforms(table[:, 1:])

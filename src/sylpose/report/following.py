@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from sylpose.files import replacing
 from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.report.drawing import AXIS_COLORS, DARK, WHITE, in_colour, polyline, write
 
@@ -44,4 +45,5 @@ def draw_followed(
     done, data = cv2.imencode(".png", np.hstack(tiles))
     if not done:
         raise OSError(f"{path}: the picture cannot be written")
-    path.write_bytes(data.tobytes())
+    with replacing(path) as part:
+        part.write_bytes(data.tobytes())

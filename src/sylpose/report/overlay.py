@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -15,10 +16,10 @@ import numpy as np
 from av.codec.codec import UnknownCodecError
 from av.video.reformatter import Colorspace
 
+from sylpose.files import writing
 from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.report.disagreement import DOUBTED
 from sylpose.report.drawing import DARK, GREY, WHITE, draw_axes, draw_matches, in_colour, pen, polyline, write
-from sylpose.report.files import writing
 from sylpose.results import FramePose, FrameStatus, Observable
 from sylpose.rig import Camera, Rig
 
@@ -96,6 +97,7 @@ class OverlayWriter:
         self.rig = rig
         self._layout = _layout(rig, max_width)
         self._count = 0
+        self._failed: OSError | None = None
         # FFmpeg writes the header late; opening the file here says at once when it cannot be written.
         with writing(self.path):
             self._file = self.path.open("wb", buffering=0)
@@ -137,13 +139,17 @@ class OverlayWriter:
         """Finishes the video; twice does no harm."""
         if self._file.closed:
             return
-        with writing(self.path):
-            try:
+        try:
+            if self._failed is not None:  # said by then
+                with suppress(Exception):
+                    self._container.close()
+                return
+            with writing(self.path):
                 if self._count:
                     self._container.mux(self._stream.encode(None))
                 self._container.close()
-            finally:
-                self._file.close()
+        finally:
+            self._file.close()
 
     def write(
         self,
@@ -170,13 +176,19 @@ class OverlayWriter:
 
     def write_objects(self, images: Sequence[Image | None], objects: Sequence[Shown]) -> None:
         """As `write`, with any number of objects in one picture."""
+        if self._failed is not None:  # FFmpeg would go on with a file whose header is not there, and crash
+            raise self._failed
         frame = av.VideoFrame.from_ndarray(self.draw_objects(images, objects), format="bgr24")
         frame = frame.reformat(format="yuv420p", dst_colorspace=Colorspace.ITU709)
         frame.pts = self._count
         frame.time_base = 1 / self._stream.codec_context.framerate
         self._count += 1
-        with writing(self.path):
-            self._container.mux(self._stream.encode(frame))
+        try:
+            with writing(self.path):
+                self._container.mux(self._stream.encode(frame))
+        except OSError as error:
+            self._failed = error
+            raise
 
     def draw(
         self,

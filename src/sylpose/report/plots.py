@@ -14,9 +14,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from scipy.spatial.transform import Rotation
 
+from sylpose.files import replacing
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.report.disagreement import disagreements, remarks
-from sylpose.report.files import writing
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 
 __all__ = ["camera_colors", "finish", "new_figure", "plot_trajectory", "save_figure", "summary"]
@@ -170,8 +170,8 @@ def save_figure(figure: Figure, path: Path | str) -> None:
         ValueError: a format that matplotlib does not know.
         OSError: naming the file, when it cannot be written.
     """
-    with writing(path):
-        figure.savefig(path, bbox_inches="tight", pad_inches=0.15)
+    with replacing(path) as part:
+        figure.savefig(part, bbox_inches="tight", pad_inches=0.15)
 
 
 def _readable(length: float, unit: str) -> tuple[float, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import av
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.files import replacing
 from sylpose.numerics.arrays import Image
 from sylpose.rig import Rig
 
@@ -51,11 +53,11 @@ def write_truth(folder: Path, poses: Mapping[str, RigidTransform], *, repeats: i
     for name, its in zip(names, poses.values(), strict=True):
         rows = np.column_stack([its.translation, its.rotation.as_quat(canonical=True)])
         table = np.column_stack([np.arange(repeats * len(rows)) / FRAME_RATE, np.tile(rows, (repeats, 1))])
-        np.savetxt(folder / name, table, fmt="%.9g", header="time tx ty tz qx qy qz qw : world_from_object")
+        with replacing(folder / name) as part:
+            np.savetxt(part, table, fmt="%.9g", header="time tx ty tz qx qy qz qw : world_from_object")
     center = ", ".join(f"{v:.9g}" for v in next(iter(poses.values())).translation[0])
-    (folder / "dataset.toml").write_text(
-        f'calibration = "calibration.toml"\ngroundtruth = "{names[0]}"\ncenter_world = [{center}]\n'
-    )
+    with replacing(folder / "dataset.toml") as part:
+        part.write_text(f'calibration = "calibration.toml"\ngroundtruth = "{names[0]}"\ncenter_world = [{center}]\n')
 
 
 def suffixes(objects: Sequence[str]) -> list[str]:
@@ -73,7 +75,8 @@ def write_boxes(folder: Path, boxes: Mapping[str, Mapping[str, Box]]) -> None:
         lines += [f'["{name}"]'] if len(boxes) > 1 else []
         lines += [f'"{camera}" = {list(box)}' for camera, box in its.items()]
     if boxes:
-        (folder / "boxes.toml").write_text("\n".join(lines) + "\n")
+        with replacing(folder / "boxes.toml") as part:
+            part.write_text("\n".join(lines) + "\n")
     else:
         (folder / "boxes.toml").unlink(missing_ok=True)
 
@@ -101,8 +104,9 @@ def write_videos(
         key = {"bf": "0", "g": str(frames)} if repeats > 1 else {}
         # One thread, as the result depends on their number.
         codec, options = "libx264", {"crf": str(quality), "preset": "veryfast", "threads": "1", **key}
-    files = [av.open(str(folder / f"{camera.name}.mp4"), "w") for camera in rig]
-    try:
+    with ExitStack() as whole:
+        parts = [whole.enter_context(replacing(folder / f"{camera.name}.mp4")) for camera in rig]
+        files = [whole.enter_context(av.open(str(part), "w")) for part in parts]
         streams: list[Any] = []  # PyAV's types do not tell a stream of video from others
         for file, camera in zip(files, rig, strict=True):
             stream: Any = file.add_stream(codec, rate=FRAME_RATE, options=options)
@@ -127,9 +131,6 @@ def write_videos(
             for k in range(1, repeats):
                 for packet in packets[c]:
                     files[c].mux(_later(packet, k * frames))
-    finally:
-        for file in files:
-            file.close()
 
 
 def _later(packet: Any, frames: int) -> Any:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from sylpose.files import replacing
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image
 from sylpose.simulate.demo import demo_truth
 from sylpose.simulate.files import FRAME_RATE, session_folder, suffixes, write_boxes, write_truth, write_videos
@@ -68,11 +69,13 @@ def write_recording(recording: Recording, out_dir: str | Path) -> None:
     write_truth(out, {name: truth.world_from_object for name, truth in truths.items()}, repeats=recording.repeats)
     write_boxes(out, {name: truth.boxes for name, truth in truths.items()} if recording.boxes else {})
     for k, (truth, suffix) in enumerate(zip(truths.values(), suffixes(recording.objects), strict=True)):
-        np.savetxt(out / f"vertices{suffix}.txt", truth.vertices, fmt="%.9g", header="corners, object's frame")
+        with replacing(out / f"vertices{suffix}.txt") as part:
+            np.savetxt(part, truth.vertices, fmt="%.9g", header="corners, object's frame")
         _write_table(out / f"visible{suffix}.csv", rig.names, visible_shares(scene, k), "{:.3f}")
     if recording.skew is not None:
         offsets = [f"{name} = {offset}" for name, offset in zip(rig.names, recording.skew, strict=True)]
-        (out / "true_offsets.toml").write_text("\n".join(offsets) + "\n")
+        with replacing(out / "true_offsets.toml") as part:
+            part.write_text("\n".join(offsets) + "\n")
     if recording.stamped or recording.shown is not None:
         stamps = np.tile(np.arange(scene.frames)[:, None] / FRAME_RATE, (1, len(rig)))
         if recording.stamped and recording.skew is not None:
@@ -107,7 +110,7 @@ def visible_shares(scene: Scene, index: int = 0) -> FloatArray:
 
 
 def _write_table(path: Path, names: Sequence[str], values: FloatArray, style: str) -> None:
-    with path.open("w", newline="") as file:
+    with replacing(path) as part, part.open("w", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(["frame", *names])
         for k, row in enumerate(values):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,11 +15,14 @@ from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.capture.names import belongs_to
 from sylpose.capture.timeline import Timeline
+from sylpose.reading import parsed_toml, text_of, told
 from sylpose.sync.pulses import split_offsets
 
 __all__ = ["OFFSETS_FILE", "find_offsets", "load_offsets", "retimed"]
 
 OFFSETS_FILE = "offsets.toml"
+# Seconds: clocks that are set by hand are hours apart (choice).
+MAX_OFFSET = 86_400.0
 
 
 def load_offsets(path: Path, cameras: Sequence[str]) -> dict[str, float]:
@@ -30,15 +32,17 @@ def load_offsets(path: Path, cameras: Sequence[str]) -> dict[str, float]:
         FileNotFoundError: no such file.
         ValueError: naming the file: not TOML, an unknown camera, a value that is no number of seconds.
     """
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: lines such as cam_0 = 0.0042 are expected ({error})") from None
-    names = belongs_to(data, cameras, path)
-    for name, value in data.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise ValueError(f"{path}: the offset of {name} must be a number of seconds, got {value!r}")
-    return {camera: float(data[name]) for name, camera in names.items()}
+    text = text_of(path)
+    with told(path):
+        try:
+            data = parsed_toml(text)
+        except tomllib.TOMLDecodeError as error:
+            raise ValueError(f"lines such as cam_0 = 0.0042 are expected ({error})") from None
+        names = belongs_to(data, cameras, path)
+        for name, value in data.items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MAX_OFFSET:
+                raise ValueError(f"the offset of {name} must be a number of seconds, got {value!r}; at most a day")
+        return {camera: float(data[name]) for name, camera in names.items()}
 
 
 def find_offsets(session: Session | LiveSession, file: Path | None = None) -> dict[str, float]:

@@ -36,7 +36,7 @@ SAME_PX = 4.0
 KNOWN_DEPTH = 0.1
 # What of an anchor's features must still be seen: these shares of them, in all and in each camera, and so many in all, while
 # the object has turned by less than this (radians) since (choice).
-ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 0.4, 0.25, 60, np.radians(20.0)
+ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 0.4, 0.25, 60, np.radians(30.0)
 # The next anchor is prepared where these shares, times this, are no longer seen, or the turn is more than that over
 # this (choice).
 SOON = 1.5

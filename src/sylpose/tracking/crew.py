@@ -56,19 +56,12 @@ class OneProcess:
     """All cameras in one process, which work side by side in threads."""
 
     def __init__(self, cameras: int, workers: int) -> None:
-        self._cameras, self._workers = range(cameras), workers
+        self._cameras = range(cameras)
         self._pool = ThreadPoolExecutor(workers)
 
     def close(self) -> None:
         """End the threads."""
         self._pool.shutdown()
-
-    def __getstate__(self) -> tuple[int, int]:
-        """Threads are begun anew."""
-        return len(self._cameras), self._workers
-
-    def __setstate__(self, state: tuple[int, int]) -> None:
-        self.__init__(*state)  # type: ignore[misc]
 
     def each(self, do: Callable[[int], T], *, long: bool = False) -> list[T]:
         """See `Crew`. What is brief takes less time than handing it to a thread would."""

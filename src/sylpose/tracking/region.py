@@ -17,6 +17,8 @@ __all__ = ["polygon_mask", "region_polygon", "volume_from_boxes"]
 # Points per axis of the grids that are carved by the boxes; how many, each laid over what the one before has
 # left (choice).
 GRID, GRIDS = 15, 3
+# Directions in which an outline is widened (choice).
+RING = np.array([[np.cos(angle), np.sin(angle)] for angle in np.linspace(0, 2 * np.pi, 9)[:-1]])
 
 
 def volume_from_boxes(rig: Rig, boxes: Mapping[str, Box]) -> tuple[FloatArray, FloatArray]:
@@ -91,10 +93,8 @@ def region_polygon(camera: Camera, points: FloatArray, growth: float) -> FloatAr
     margin = max(12.0, growth * float(np.ptp(pixels, axis=0).max()))
     if (pixels.max(axis=0) + margin < 0).any() or (pixels.min(axis=0) - margin > size - 1).any():
         return None
-    angles = np.linspace(0, 2 * np.pi, 9)[:-1]
-    ring = margin * np.column_stack([np.cos(angles), np.sin(angles)])
     hull = cv2.convexHull(pixels.astype(np.float32)).reshape(-1, 2)
-    widened = (hull[:, None] + ring).reshape(-1, 2).astype(np.float32)
+    widened = (hull[:, None] + margin * RING).reshape(-1, 2).astype(np.float32)
     return np.asarray(cv2.convexHull(widened).reshape(-1, 2), dtype=float)
 
 

@@ -39,7 +39,7 @@ from sylpose.tracking.region import polygon_mask
 from sylpose.tracking.sights import cut, sights_of
 from sylpose.tracking.team import Region, Team
 
-__all__ = ["begun", "joined", "wants"]
+__all__ = ["begun", "joined", "looked_for", "wants"]
 
 # Frames until what is found in one joins: at 30 per second the time that it takes on a processor with other work (choice).
 LATER = 7
@@ -66,7 +66,7 @@ def begun(team: Team, joint: Joint, frames: FrameSet, found: Found) -> Joint:
         references = {k.number: part.frames[k.number].features for k in keyframes}
         where = _where(found.regions[c], frames.masks[c], part.camera)
         looking = Later(
-            _looked_for, its.image, part.camera, where, joint.starves, its, part.surroundings, part.still_px, references
+            looked_for, its.image, part.camera, where, joint.starves, its, part.surroundings, part.still_px, references
         )
         part.renewal = Renewal(last.number, its.image, found.rig.cameras[c], len(its), its.rows, looking)
 
@@ -79,7 +79,7 @@ def _where(region: Region, mask: BoolArray | None, camera: Camera) -> BoolArray:
     return where if mask is None else where & mask
 
 
-def _looked_for(
+def looked_for(
     image: Image,
     camera: Camera,
     where: BoolArray,

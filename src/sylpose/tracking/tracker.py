@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,7 +48,8 @@ def track(
         One `TrackedFrame` per frame. Without boxes the first ones are held back until the object has moved.
 
     Raises:
-        ValueError: an unknown method; boxes of cameras that the rig does not have, or that do not meet in space.
+        ValueError: an unknown method; a negative seed; boxes of cameras that the rig does not have, or that do not meet in
+            space.
     """
     with Tracker(rig, boxes, method=method, features=features, offsets=offsets, workers=workers, seed=seed) as tracker:
         for frame_set in frames:
@@ -57,12 +58,12 @@ def track(
 
 
 class Memory(NamedTuple):
-    """All that is known between two frames, by all and (attributes of parts) by each camera here."""
+    """All that is known between two frames, by all and by each camera here."""
 
     joint: Joint
     waiting: Sequence[Waiting]
     number: int
-    parts: list[dict[str, Any]]
+    parts: Sequence[CameraPart]
 
 
 class Tracking:
@@ -89,6 +90,8 @@ class Tracking:
         seed: int,
     ) -> None:
         follows = features_of(method, features) == "klt"
+        if seed < 0:
+            raise ValueError(f"seed must not be negative, got {seed}")
         for name in offsets or {}:
             if name not in rig.names:
                 raise ValueError(f"offsets: no camera {name!r} in the rig ({', '.join(rig.names)})")
@@ -109,13 +112,18 @@ class Tracking:
         self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, number, frames)
         return decided
 
+    @property
+    def memory(self) -> Memory:
+        """All that is known by now, the cameras here included: until the next frame, whose way changes some of it."""
+        return Memory(self._joint, self._waiting, self.number, self._here())
+
     def remembered(self) -> Memory:
-        """All that is known by now, the cameras here included."""
+        """The same, for longer: a copy."""
         # What is never written to need not be copied: images, descriptors, calibrations.
         constants: list[object] = [waiting.frames for waiting in self._waiting]
         constants += [own for part in self._here() for own in part.constants()]
         constants += [own.features for waiting in self._waiting for own in waiting.frame.cameras if own is not None]
-        changing = [vars(part) for part in self._here()], list(self._waiting)
+        changing = self._here(), list(self._waiting)
         parts, waiting = copy.deepcopy(changing, {id(constant): constant for constant in constants})
         return Memory(self._joint, waiting, self.number, parts)
 
@@ -123,7 +131,7 @@ class Tracking:
         """To what was known then; a memory serves once."""
         self._joint, self._waiting, self.number, parts = memory
         for part, its in zip(self._here(), parts, strict=True):
-            vars(part).update(its)
+            vars(part).update(vars(its))
 
     def _here(self) -> list[CameraPart]:
         """The parts of the cameras in this process."""

@@ -28,7 +28,7 @@ from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.records import Seen, placed
 from sylpose.tracking.team import Team
 
-__all__ = ["at_least", "finished", "is_due", "refined"]
+__all__ = ["at_least", "bundled_together", "finished", "is_due", "refined"]
 
 # Frames that are refined together at most, the first one and the last among them (choice).
 MOST = 32
@@ -85,7 +85,7 @@ def refined(team: Team, joint: Joint) -> Joint:
     names = np.repeat(np.arange(len(new)), [len(seen.known) for seen in new])
     if not len(names):
         return joint
-    found = Later(_bundled, *_what(team, frames, used, new), joint.object.radius)
+    found = Later(bundled_together, *_what(team, frames, used, new), joint.object.radius)
     pending = Refinement(joint.base.number, tuple(frames), names, tuple(seen.known for seen in new), found)
     joint = replace(joint, pending=pending)
     return _applied(team, joint, pending) if presses else joint
@@ -238,7 +238,7 @@ def _what(
     return team.rig, observations, poses, np.concatenate([seen.place for seen in new]), times
 
 
-def _bundled(
+def bundled_together(
     rig: Rig, observations: Observations, poses: RigidTransform, landmarks: FloatArray, times: FloatArray, radius: float
 ) -> Bundled:
     """The frames refined together; see `_what`."""

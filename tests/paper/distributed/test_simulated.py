@@ -22,8 +22,8 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.bad_cameras import solve_robust
 from sylpose.paper.centralized import CentralizedSolution, solve_centralized
 from sylpose.paper.distributed.exchange import exchange_start
-from sylpose.paper.distributed.gossip import gossip_start
-from sylpose.paper.distributed.messages import Inbox, Packet
+from sylpose.paper.distributed.gossip import gossip_start, gossip_step
+from sylpose.paper.distributed.messages import HEADER, Inbox, Packet
 from sylpose.paper.distributed.nonsense import Nonsense
 from sylpose.paper.distributed.refine import RefineState, refine_start, refine_step
 from sylpose.paper.distributed.showing import contradictions
@@ -622,3 +622,22 @@ def test_exact_without_noise(solve: Solve) -> None:
     found = solve(cameras, moments_of(orthographic(rng, cameras, turn)), aim=False)
     assert found.status is Status.OK
     assert angle(found.rotation, turn) < 1e-8
+
+
+@pytest.mark.parametrize("lie", [-1e6, 1e12, -1e20])
+def test_finite_lies_about_one_number_end_in_an_answer_or_none(lie: float) -> None:
+    """Evidence whose constant is so large that nothing can be added to it once left gossip without candidates."""
+    rotations, moments = seen(around(4))
+    n = len(moments)
+    pairs = [(c, (c + 1) % n) for c in range(n)]
+    starts = [lambda c=c: gossip_start(c, n, pairs, rotations[c], moments[c], bound=60) for c in range(n)]
+
+    def liar(data: bytes, _: int) -> bytes:
+        values = np.frombuffer(data[HEADER.size :], "<f8").copy()
+        values[54] *= lie
+        return data[: HEADER.size] + values.tobytes()
+
+    outcome = run(starts, gossip_step, Disturbances(), 61, {1: liar})
+    for state in outcome.states:
+        assert state is not None
+        assert state.verdict.rotation is None or np.isfinite(state.verdict.rotation).all()

@@ -267,12 +267,15 @@ def _evidence(s: GossipState) -> Quadratic:
 
 
 def _rotation(evidence: Quadratic) -> FloatArray | None:
-    """(3, 3) what it says; None where nobody has evidence."""
+    """(3, 3) what it says; None where nobody has evidence, or it is none."""
     if not (evidence.scale > 0 and evidence.weight > 0):
         return None
     candidates = minimize(evidence.H, evidence.h)[0]
     costs = evidence.cost(candidates) / evidence.scale
-    best = candidates[costs < costs.min() + EQUAL]
+    if not np.isfinite(costs).all():
+        return None
+    # Not `<`: what a camera that lies makes of the constant may be so large that nothing is added to it.
+    best = candidates[costs <= costs.min() + EQUAL]
     return np.asarray(best[np.argmax((_ORDER * best).sum(axis=(1, 2)))])
 
 

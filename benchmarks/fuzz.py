@@ -1,0 +1,405 @@
+"""Every reader of files against damaged and hostile ones: a result or one sentence, at once and in little memory.
+
+    python benchmarks/fuzz.py [--cases N] [--seed S] [--only KIND ...]
+
+Files of every kind that is read (calibrations, settings, tables, images) are changed at random, seeded: bytes, lines and
+numbers replaced, cut, repeated, nested, joined with those of another file. Each is read. Allowed is a result, or an error
+that is a `ValueError` or `OSError` of one printable line with the file's name in it, of at most `SENTENCE` characters, in
+less than `SECONDS` and `MEGABYTES`. Batches run in processes of their own, so that one that ends by a signal is seen: its
+case is counted as a crash, and the rest of the batch goes on. Prints a line for each kind, and cases that are not allowed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import cache, partial
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose import calibration
+from sylpose.archive.recordings import Options, find_recordings
+from sylpose.capture.boxes import load_boxes
+from sylpose.capture.images import image_size, read_image
+from sylpose.capture.live import open_live
+from sylpose.capture.timeline import load_timestamps
+from sylpose.reading import SAID
+from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
+from sylpose.results import FramePose, FrameStatus
+from sylpose.rig import Rig
+from sylpose.simulate import ring
+from sylpose.sync.offsets import load_offsets
+
+ALLOWED = ("result", "sentence")
+SECONDS, MEGABYTES = 0.2, 100.0
+# One sentence may hold what is said of two files, one in the other's folder.
+SENTENCE = 2 * SAID
+SIZE = (64, 48)
+BATCH = 1000
+# Bytes of a case: above what calibrations and settings may have; of tables, which may be large, for the time.
+LARGEST, LARGEST_TABLE = 1_200_000, 200_000
+TABLES = ("manifest", "manifest, csv", "time stamps", "trajectory.csv", "trajectory.tum")
+RIG: Rig = ring(3, size=SIZE)
+IMAGES = (".png", ".jpg", ".tif", ".bmp", ".webp", ".ppm", ".jp2")
+# What numbers, words and values are replaced by.
+TOKENS = (
+    *("0", "-1", "1e308", "-1e308", "1e309", "1e30", "nan", ".NaN", "inf", ".Inf", "-inf", "9" * 20, "9" * 400, "0x7f"),
+    *(
+        "true",
+        "null",
+        '""',
+        '"',
+        "'",
+        "[",
+        "]",
+        "{",
+        "}",
+        "[[",
+        "[]",
+        "{}",
+        "<",
+        ">",
+        "</",
+        "<_>",
+        "&amp;",
+        "<!DOCTYPE x>",
+    ),
+    *(
+        "#",
+        "=",
+        ":",
+        ",",
+        "- ",
+        "---",
+        "...",
+        "*a",
+        "&a ",
+        "!!binary ",
+        "%YAML:1.0\n",
+        "|",
+        "\\",
+        "\\u0000",
+        "\\ud800",
+        "..",
+    ),
+    *(
+        "\n",
+        "\r",
+        "\t",
+        "\0",
+        "\x1b[2J",
+        "\u202e",
+        "\u2028",
+        "é",
+        "😀",
+        "../../etc",
+        "cam_0",
+        "size",
+        "rotation",
+        "cameras",
+    ),
+)
+
+
+class Kind(NamedTuple):
+    """A kind of file: its name on the disk, whole ones of it, and what reads it."""
+
+    name: str
+    whole: tuple[bytes, ...]
+    read: Callable[[Path], object]
+
+
+@cache
+def kinds() -> dict[str, Kind]:
+    """By name."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        saved = {
+            s: [_saved(rig, folder / f"a{s}") for rig in (RIG, ring(1))] for s in (".toml", ".yml", ".json", ".xml")
+        }
+        table, tum = _trajectory(folder)
+    load = calibration.load
+    found = {
+        "sylpose": Kind("calibration.toml", tuple(saved[".toml"]), load),
+        "anipose": Kind("calibration.toml", (ANIPOSE, *saved[".toml"]), load),
+        "caliscope": Kind("camera_array.toml", (CALISCOPE, ANIPOSE), load),
+        "yaml": Kind("calibration.yml", (*saved[".yml"], BY_HAND), load),
+        "json": Kind("calibration.json", (*saved[".json"], MULTICAL), load),
+        "xml": Kind("calibration.xml", tuple(saved[".xml"]), load),
+        "boxes": Kind("boxes.toml", (BOXES, SEVERAL), partial(load_boxes, rig=RIG)),
+        "offsets": Kind("offsets.toml", (OFFSETS,), partial(load_offsets, cameras=RIG.names)),
+        "live": Kind("live.toml", (LIVE,), _live),
+        "manifest": Kind("manifest.toml", (MANIFEST,), _manifest),
+        "manifest, csv": Kind("manifest.csv", (LISTED,), _manifest),
+        "time stamps": Kind("timestamps.csv", (STAMPS,), partial(load_timestamps, cameras=RIG.names)),
+        "trajectory.csv": Kind("trajectory.csv", (table,), read_trajectory),
+        "trajectory.tum": Kind("trajectory.tum", (tum,), read_tum),
+    }
+    rng = np.random.default_rng(0)
+    pictures = [rng.integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8), np.zeros((SIZE[1], SIZE[0], 3), np.uint8)]
+    for suffix in IMAGES:
+        whole = tuple(bytes(cv2.imencode(suffix, picture)[1]) for picture in pictures)
+        found[suffix[1:]] = Kind(f"0000{suffix}", whole, _image)
+    return found
+
+
+def case(kind: str, seed: int) -> bytes:
+    """One changed file."""
+    rng = np.random.default_rng([seed, *kind.encode()])
+    whole = kinds()[kind].whole
+    data = whole[rng.integers(len(whole))]
+    text = f"0000.{kind}" != kinds()[kind].name
+    for _ in range(1 + rng.poisson(1.5)):
+        data = _changed_text(rng, data, whole) if text and rng.random() < 0.8 else _changed_bytes(rng, data, whole)
+        data = data[: LARGEST_TABLE if kind in TABLES else LARGEST]
+    return data
+
+
+class Verdict(NamedTuple):
+    """What comes of reading a file: "result", "sentence", or a word for what is not allowed; what was said; seconds."""
+
+    word: str
+    said: str
+    took: float
+
+
+def verdict(kind: Kind, file: Path) -> Verdict:
+    """Of reading this file."""
+    begin = time.perf_counter()
+    try:
+        kind.read(file)
+        word, said = "result", ""
+    except (ValueError, OSError) as error:
+        word, said = "sentence", str(error)
+        if type(error).__name__ == "LinAlgError" or "numpy" in said:
+            word = "not a sentence"
+        elif isinstance(error, ValueError) or not error.filename:
+            if file.name not in said and str(file.parent) not in said:  # or what is wrong with the folder that it names
+                word = "without the file's name"
+            elif not said.isprintable() or len(said) > SENTENCE + len(str(file)):
+                word = "no line"
+    except Exception as error:  # what else there is to find
+        word, said = type(error).__name__, str(error)[:200]
+    took = time.perf_counter() - begin
+    return Verdict("slow" if took > SECONDS and word in ALLOWED else word, said, took)
+
+
+def run_batch(kind: str, seeds: range, folder: Path) -> Iterator[tuple[int, Verdict]]:
+    """The seed and the verdict of each case; "memory" where one took more than is allowed."""
+    file = folder / kinds()[kind].name
+    for seed in seeds:
+        file.write_bytes(case(kind, seed))
+        before = _peak_megabytes()
+        found = verdict(kinds()[kind], file)
+        if (more := _peak_megabytes() - before) > MEGABYTES:
+            found = found._replace(word="memory", said=f"{more:.0f} MB: {found.said}")
+        yield seed, found
+
+
+def isolated(kind: str, seeds: range) -> Iterator[tuple[int, Verdict]]:
+    """The same in a process of its own; a case at which it ends is a "crash", and a new one goes on behind it."""
+    while seeds:
+        asked = [sys.executable, __file__, "--batch", kind, str(seeds.start), str(seeds.stop)]
+        process = subprocess.Popen(asked, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        assert process.stdout is not None
+        done = seeds.start
+        for line in process.stdout:
+            if line.startswith("[") and line.endswith("]\n"):
+                seed, told = json.loads(line)
+                done = seed + 1
+                yield seed, Verdict(*told)
+        code = process.wait()
+        if done < seeds.stop:
+            yield done, Verdict("crash", f"the process ended with {code}", 0.0)
+            done += 1
+        seeds = range(done, seeds.stop)
+
+
+def main() -> None:
+    """All kinds, as asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=100_000, help="of all kinds together")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="+", choices=list(kinds()))
+    parser.add_argument("--batch", nargs=3, help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.batch:
+        kind, start, stop = asked.batch[0], int(asked.batch[1]), int(asked.batch[2])
+        with tempfile.TemporaryDirectory() as place:
+            for told in run_batch(kind, range(start, stop), Path(place)):
+                print(json.dumps(told), flush=True)
+        return
+    names = asked.only or list(kinds())
+    each = -(-asked.cases // len(names))
+    wrong = 0
+    print("| file | cases | read | refused | not allowed | slowest, ms |\n|---|---|---|---|---|---|")
+    for name in names:
+        counts, slowest = Counter[str](), 0.0
+        for first in range(0, each, BATCH):
+            start = asked.seed * 10**7 + first
+            for seed, found in isolated(name, range(start, start + min(BATCH, each - first))):
+                counts[found.word] += 1
+                slowest = max(slowest, found.took)
+                if found.word not in ALLOWED:
+                    print(f"    {name} {seed}: {found.word}, {1e3 * found.took:.0f} ms: {found.said[:300]}", flush=True)
+        bad = counts.total() - sum(counts[word] for word in ALLOWED)
+        wrong += bad
+        said = " | ".join(map(str, (each, *(counts[word] for word in ALLOWED), bad)))
+        print(f"| {name} | {said} | {1e3 * slowest:.0f} |", flush=True)
+    sys.exit(wrong > 0)
+
+
+def _changed_text(rng: np.random.Generator, data: bytes, whole: tuple[bytes, ...]) -> bytes:
+    text = data.decode("utf-8", "surrogateescape")
+    at = int(rng.integers(len(text) + 1))
+    end = min(at + int(rng.geometric(0.03)), len(text))
+    token = TOKENS[rng.integers(len(TOKENS))]
+    lines = text.split("\n")
+    change = rng.integers(9)
+    if change == 0:
+        text = text[:at] + token + text[at:]
+    elif change == 1:
+        text = text[:at] + token + text[end:]
+    elif change == 2:  # a number
+        starts = [i for i, c in enumerate(text) if c.isdigit()]
+        if starts:
+            at = end = starts[rng.integers(len(starts))]
+            while end < len(text) and (text[end].isdigit() or text[end] in ".e"):
+                end += 1
+            text = text[:at] + token + text[end:]
+    elif change == 3:  # nested
+        depth = int(rng.choice([3, 40, 900, 20_000]))
+        left, right = (("[", "]"), ("{", "}"), ('{"a":', "}"), ("<a>", "</a>"), ("- ", ""), ("a.", ""))[rng.integers(6)]
+        text = text[:at] + depth * left + "1" + depth * right + text[at:]
+    elif change == 4:  # long
+        text = text[:at] + int(rng.choice([100, 5000, 200_000])) * token[:1] + text[at:]
+    elif change == 5:
+        i, j = rng.integers(len(lines), size=2)
+        lines[i], lines[j] = lines[j], lines[i]
+        text = "\n".join(lines)
+    elif change == 6 and len(text) < 10_000:
+        i = int(rng.integers(len(lines)))
+        text = "\n".join(lines[:i] + lines[i : i + 1] * int(rng.choice([0, 2, 500])) + lines[i + 1 :])
+    elif change == 7:
+        other = whole[rng.integers(len(whole))].decode("utf-8", "surrogateescape")
+        text = text[:at] + other[int(rng.integers(len(other))) :]
+    else:
+        words = text.split(" ")
+        words[rng.integers(len(words))] = token
+        text = " ".join(words)
+    return text.encode("utf-8", "surrogatepass" if any("\ud800" <= c <= "\udbff" for c in text) else "surrogateescape")
+
+
+def _changed_bytes(rng: np.random.Generator, data: bytes, whole: tuple[bytes, ...]) -> bytes:
+    out = bytearray(data)
+    if not out:
+        return data
+    # Headers decide most.
+    at = int(rng.integers(min(len(out), 100) if rng.random() < 0.6 else len(out)))
+    change = rng.integers(6)
+    if change == 0:
+        out[at] = rng.integers(256)
+    elif change == 1:
+        value = int(rng.choice([0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF]))
+        out[at : at + 4] = value.to_bytes(4, "little" if rng.random() < 0.5 else "big")
+    elif change == 2:
+        del out[at:]
+    elif change == 3:
+        del out[at : at + int(rng.geometric(0.1))]
+    elif change == 4:
+        out[at:at] = rng.bytes(int(rng.geometric(0.02)))
+    else:
+        other = whole[rng.integers(len(whole))]
+        out[at:] = other[int(rng.integers(len(other))) :]
+    return bytes(out)
+
+
+def _peak_megabytes() -> float:
+    with suppress(ImportError):  # Windows has none
+        import resource
+
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return 0.0
+
+
+def _saved(rig: Rig, file: Path) -> bytes:
+    calibration.save(rig, file)
+    return file.read_bytes()
+
+
+def _trajectory(folder: Path) -> tuple[bytes, bytes]:
+    with TrajectoryWriter(folder, RIG.names, "m") as writer:
+        for k in range(5):
+            pose = RigidTransform.from_translation([0.1 * k, 0.0, 1.0])
+            seen = np.array([9, 8, 7]), np.array([0.3, 0.2, 0.1])
+            writer.write(FramePose(k, k / 30, FrameStatus.TRACKED, pose, 0.01 * np.eye(6), *seen))
+    return (folder / "trajectory.csv").read_bytes(), (folder / "trajectory.tum").read_bytes()
+
+
+def _image(file: Path) -> object:
+    image_size(file)
+    return read_image(file, SIZE)
+
+
+def _live(file: Path) -> object:
+    calibration.save(RIG, file.parent / "rig.toml")
+    return open_live(file)
+
+
+def _manifest(file: Path) -> object:
+    return find_recordings([str(file)], Options())
+
+
+CAMERA = b"""size = [64, 48]
+matrix = [[1000.0, 0.0, 20.0], [0.0, 1000.0, 15.0], [0.0, 0.0, 1.0]]
+distortions = [0.0, 0.0, 0.0, 0.0, 0.0]
+rotation = [0.1, 0.2, 0.3]
+translation = [0.0, 0.0, 1.0]
+"""
+ANIPOSE = b'[cam_0]\nname = "left"\n' + CAMERA + b'[cam_1]\nname = "right"\n' + CAMERA + b"[metadata]\nerror = 0.4\n"
+CALISCOPE = b"[cameras.0]\nport = 0\nerror = 0.2\n" + CAMERA + b"[cameras.12]\nignore = false\n" + CAMERA
+BY_HAND = b"""# written by hand
+cam_0:
+  image_size: [64, 48]
+  K: [[800.0, 0, 20], [0, 800, 15], [0, 0, 1]]
+  dist: [[0.1, 0, 0, 0, 0]]
+  rvec: [0.1, 0.2, 0.3]
+  tvec:
+  - 1.0
+  - 2.0
+  - 3.0
+"""
+LENS = {"model": "standard", "image_size": [64, 48], "K": [[8e2, 0, 2e1], [0, 8e2, 15], [0, 0, 1]], "dist": [[0.0] * 5]}
+POSE = {"R": np.eye(3).tolist(), "T": [0.1, 0.2, 3.0]}
+MULTICAL = json.dumps({"cameras": {"a": LENS, "b": LENS}, "camera_poses": {"a": POSE, "b_to_a": POSE}}).encode()
+BOXES = b"cam_0 = [1, 2, 30, 20]\ncam_1 = [2.5, 3, 10.0, 9]\ncam_2 = [0, 0, 40, 30]\n"
+SEVERAL = b"[mug]\ncam_0 = [1, 2, 30, 20]\n[head]\ncam_1 = [2, 3, 10, 9]\ncam_0 = [2, 3, 10, 9]\n"
+OFFSETS = b"cam_0 = 0.0\ncam_1 = 0.0042\ncam_2 = -1.5 # seconds\n"
+LIVE = b"""calibration = "rig.toml"
+max_delay = 0.2
+rate = 60
+[sources]
+cam_0 = 0
+cam_1 = "/dev/video2"
+cam_2 = "rtsp://192.168.0.12/stream"
+"""
+MANIFEST = (
+    b'[[recording]]\npath = "."\nname = "one"\nevery = 2\n[[recording]]\npath = "none"\nsmooth = false\nstart = 3\n'
+)
+LISTED = b"path,name,every,smooth\n.,one,2,\nnone,two,,true\n"
+STAMPS = b"frame,cam_0,cam_1,cam_2\n" + b"".join(b"%d,%.3f,%.3f,\n" % (k, k / 30, k / 30 + 0.001) for k in range(9))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""How files are written: whole or not at all, and with a sentence where they cannot be."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+__all__ = ["beside", "output_folder", "replacing", "writing"]
+
+
+@contextmanager
+def writing(path: Path | str) -> Iterator[None]:
+    """Turns any OSError of the block into one with a sentence that names `path`."""
+    try:
+        yield
+    except OSError as error:
+        if str(error).startswith("cannot write "):  # said already
+            raise
+        raise OSError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from error
+
+
+def output_folder(path: Path | str) -> Path:
+    """The folder, made with its parents when it is not there.
+
+    Raises:
+        OSError: naming the folder, when it is a file or cannot be made.
+    """
+    folder = Path(path)
+    if folder.exists() and not folder.is_dir():
+        raise OSError(f"cannot write into {folder}: it is a file, a folder was expected")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def beside(path: Path) -> Path:
+    """Where a file is written before it takes its place: hidden, of the same ending, and no name of a calibration."""
+    return path.with_name(f".{path.stem}.part{path.suffix}")
+
+
+@contextmanager
+def replacing(path: Path | str, *, mode: int | None = None) -> Iterator[Path]:
+    """A file that is written beside another one and takes its place once the block has ended: whoever looks finds the one
+    or the other, whole. Where the block fails, the one that was there is as it was.
+
+    Args:
+        path: a link is followed; what is no file, such as /dev/null, is written to as it is.
+        mode: permissions of the file; None: those of the one that was there, else the usual ones.
+
+    Yields:
+        where to write.
+
+    Raises:
+        OSError: naming `path`, for any OSError of the block, too.
+    """
+    target = Path(os.path.realpath(path))
+    with writing(path):
+        if target.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if target.exists() and not target.is_file():
+            yield target
+            return
+        part = beside(target)
+        try:
+            part.unlink(missing_ok=True)
+            if mode is not None:
+                os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode))
+            yield part
+            with part.open("r+b") as file:
+                os.fsync(file.fileno())
+            if mode is None and target.exists():
+                shutil.copymode(target, part)
+            os.replace(part, target)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise

@@ -1,0 +1,79 @@
+"""Calibrations that mean ill: one sentence, at once, whatever the format (SECURITY.md)."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import pytest
+
+from sylpose import calibration
+from sylpose.reading import SAID, Unreadable
+from sylpose.simulate import ring
+
+
+def deep(name: str, n: int) -> str:
+    """A file that is nested n deep."""
+    return {
+        "a.json": '{"a":' * n + "1" + "}" * n,
+        "comment.json": '{"a": /* OpenCV */' + '{"a":' * n + "1" + "}" * (n + 1),
+        "a.toml": "a = " + "[" * n + "]" * n,
+        "a.yml": "a: " + "[" * n + "]" * n,
+        "lines.yml": "a:\n " + "- " * n + "1",
+        "a.xml": "<opencv_storage>" + "<a>" * n + "</a>" * n + "</opencv_storage>",
+    }[name]
+
+
+def said(path: Path, text: str) -> str:
+    """The sentence about a file of this text."""
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    begin = time.perf_counter()
+    with pytest.raises(Unreadable) as caught:
+        calibration.load(path)
+    assert time.perf_counter() - begin < 1
+    sentence = str(caught.value)
+    assert sentence.startswith(f"{path}: ")
+    assert sentence.isprintable()
+    assert len(sentence) <= len(str(path)) + SAID
+    return sentence
+
+
+@pytest.mark.parametrize("depth", [900, 100_000])
+@pytest.mark.parametrize("name", ["a.json", "comment.json", "a.toml", "a.yml", "lines.yml", "a.xml"])
+def test_nested_deep(name: str, depth: int, tmp_path: Path) -> None:
+    sentence = said(tmp_path / name, deep(name, depth))
+    assert any(word in sentence for word in ("deep", "not a calibration", "that TOML may have"))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "what"),
+    [
+        ("a.yml", "cam_0: &x\n  K: 1\ncam_1: *x\n", "aliases"),
+        ("a.xml", '<!DOCTYPE a [<!ENTITY b "c">]><opencv_storage><a>&b;</a></opencv_storage>', "DOCTYPE"),
+        ("a.toml", "a." * 20_000 + "a = 1", "dots"),
+        ("a.toml", "a = " + "9" * 400, "308 digits"),
+        ("a.yml", "cam_0:\n  K: { rows: .Inf, cols: 3, data: [1] }\n  D: [0]\n  size: [6, 4]\n", "rows, cols"),
+    ],
+)
+def test_what_is_not_read(name: str, text: str, what: str, tmp_path: Path) -> None:
+    assert what in said(tmp_path / name, text)
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".json", ".yml"])
+@pytest.mark.parametrize("name", ["", "..", "cam/_2", "..\\x", "a\x1b[2J", "a\0b", "a\ud800"])
+def test_names_that_lead_out_of_the_recording(name: str, suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a{suffix}"
+    calibration.save(ring(2), path)
+    text = path.read_text()
+    quoted = json.dumps(name)
+    for old in ('"cam_0"', "name: cam_0", "[cameras.cam_0"):
+        text = text.replace(old, {'"': quoted, "n": f"name: {quoted}", "[": f"[cameras.{quoted}"}[old[0]])
+    said(path, text)
+
+
+def test_sentences_are_bounded(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    calibration.save(ring(2), path)
+    text = path.read_text().replace('"lens": "opencv"', f'"lens": "x\\r\\n\\u001b[31m{"y" * 5000}"', 1)
+    assert "is not known" not in said(path, text)  # it is cut in the middle
