@@ -19,7 +19,10 @@ from sylpose.simulate import Actor, Scene, TexturedBody
 from sylpose.tracking import camera as camera_module
 from sylpose.tracking import joint as joint_module
 from sylpose.tracking import phases
-from sylpose.tracking.frame import CameraFrame, Pair, without_background
+from sylpose.tracking.find import Found
+from sylpose.tracking.frame import CameraFrame, Frame, Pair, without_background
+from sylpose.tracking.joint import Joint
+from sylpose.tracking.team import Team
 from sylpose.tracking.tracker import track
 from tests.clips import Clip, errors, moving_scene, statuses, turned
 
@@ -89,6 +92,26 @@ def test_faint_features_are_asked_for_where_there_is_little_else(
     list(track(clip.frames(), clip.rig, clip.boxes, features="sift"))
     assert any(asked) == faint
     assert all(asked[-N_CAMERAS:]) == faint
+
+
+def test_a_slow_object_is_looked_for_anew_where_little_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was followed has slipped in the last frame, together: a wrong pose of which a few features tell."""
+    clip, usual = jumping(4.0), phases._found
+    slips: list[int] = []
+
+    def slipped(team: Team, joint: Joint, frame: Frame, *args: Any, **kwargs: Any) -> tuple[Joint, Found | None]:
+        joint, found = usual(team, joint, frame, *args, **kwargs)
+        if found is None or frame.number != FRAMES - 1:
+            return joint, found
+        slips.append(frame.number)
+        motion = turned(6.0) * found.motion
+        return joint, replace(found, motion=motion, agreed=tuple(replace(a, features=4) for a in found.agreed))
+
+    monkeypatch.setattr(phases, "_found", slipped)
+    tracked = list(track(clip.frames(), clip.rig, clip.boxes))
+    assert slips
+    assert statuses(tracked)[-1] is FrameStatus.TRACKED
+    assert errors(tracked, clip.truth)[:, 0].max() < 1.0
 
 
 def test_no_pose_where_it_is_not(pale: Clip) -> None:

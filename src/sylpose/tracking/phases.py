@@ -111,11 +111,9 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
     if found is None:
         frame = team.frame(number, frames, looked_for(team, joint, frames, ahead, regions, followed))
         joint, found = _found(team, joint, frame, ahead, regions, followed)
-    if found is None or (is_fast(joint, ahead) and is_doubtful(team, joint, found)):
+    if found is None or is_doubtful(team, joint, found):
         joint, better = _found_thoroughly(team, joint, number, frames, ahead, regions)
-        # A first motion that hardly is one has little to show for itself; else what is doubtful is no pose.
-        begins = found is not None and not joint.velocity.frames and found.motion.rotation.magnitude() < FIRST_TURN
-        found = better if better is not None or not begins else found
+        found = better if better is not None or not _is_expected(joint, found, ahead) else found
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
     if found is None:
@@ -124,6 +122,16 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
     if soon and not found.anew and renewal.wants(joint):
         joint = renewal.begun(team, joint, frames, found)
     return joint, tracked
+
+
+def _is_expected(joint: Joint, found: Found | None, ahead: RigidTransform) -> bool:
+    """Whether a pose of which little is seen is one all the same: a first motion that hardly is one has little to show for
+    itself, and a slow object that little is seen of is where it was going to."""
+    if found is None:
+        return False
+    if not joint.velocity.frames:
+        return found.motion.rotation.magnitude() < FIRST_TURN
+    return not is_fast(joint, ahead) and is_the_same(joint, found, ahead)
 
 
 def recover(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joint, TrackedFrame]:
