@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from benchmarks.kinds import KINDS
 from sylpose.features.sift import Features, detect
 from sylpose.frames import FrameSet
 from sylpose.landmarks.places import new_landmarks
@@ -124,6 +126,14 @@ def test_no_pose_where_it_is_not(pale: Clip) -> None:
     tracked = list(track(frames, pale.rig, pale.boxes, features="sift"))
     assert FrameStatus.TRACKED in statuses(tracked)[:2]
     assert set(statuses(tracked)[2:]) <= {FrameStatus.COASTING, FrameStatus.LOST}
+
+
+def test_where_it_was_there_is_only_the_room() -> None:
+    """It turned by 45 degrees, and is gone for four frames: there the room has more that can be found than it had."""
+    take = KINDS["back"](np.random.default_rng([1, *b"back"]))
+    tracked = list(track(itertools.islice(take.frames(), 13), take.scene.rig, take.boxes))
+    assert statuses(tracked)[1:10] == [FrameStatus.TRACKED] * 9
+    assert set(statuses(tracked)[10:]) <= {FrameStatus.COASTING, FrameStatus.LOST, FrameStatus.ONLY_STILL}
 
 
 def test_what_stands_still_where_the_object_should_move_is_background() -> None:

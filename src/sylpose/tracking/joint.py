@@ -197,11 +197,12 @@ class Joint:
         most = any(a.moved >= MIN_MOVED and 2 * a.moved > a.tried for a in agreed)
         return not most and not self.proven_by(agreed)
 
-    def may_be_background(self, agreed: Sequence[Agreed]) -> bool:
-        """Whether a pose is one that the background would have as well: of what agrees with it (by camera) next to nothing
-        was ever seen to move, though the object was. Before the object has moved there is nothing else."""
+    def may_be_background(self, agreed: Sequence[Agreed], share: float = MOVED_SHARE) -> bool:
+        """Whether a pose is one that the background would have as well: of what agrees with it (by camera) next to nothing,
+        or less than a share, was ever seen to move, though the object was. Before the object has moved there is nothing
+        else."""
         moved, features = sum(a.moved for a in agreed), sum(a.features for a in agreed)
-        return self.proven and moved < max(MIN_MOVED, MOVED_SHARE * features)
+        return self.proven and moved < max(MIN_MOVED, share * features)
 
     def without(self, time: float) -> tuple[Joint, FloatArray]:
         """After a frame in which the object was not found: it is taken to have gone on as before, until that says nothing.

@@ -130,7 +130,7 @@ def _is_expected(joint: Joint, found: Found | None, ahead: RigidTransform) -> bo
     if found is None:
         return False
     if not joint.velocity.frames:
-        return found.motion.rotation.magnitude() < FIRST_TURN
+        return bool(found.motion.rotation.magnitude() < FIRST_TURN)
     return not is_fast(joint, ahead) and is_the_same(joint, found, ahead)
 
 

@@ -41,6 +41,10 @@ WORTHLESS, WORTHLESS_PX = 0.4 * SOLVED, 0.58 * LEAST_PX
 # tests/tracking/test_relocalise.py). What a feature must be worth to count, and how many a camera needs for an opinion
 # (choice).
 ENOUGH, GOOD_SHARE, FEW = 20.0, 0.5, 15
+# Among all that there is, what stands still in the regions agrees with itself, and once the object is gone nothing else
+# does: this share of what agrees with a pose has to be seen to move (measured: 0.97 and more of true poses of
+# benchmarks/kinds.py faint-jumps and jumps-25, 0.05 to 0.18 of an empty room's in back) (choice).
+MOVED = 0.5
 
 
 def searched(
@@ -65,7 +69,8 @@ def searched(
             found = found_near(team, young, frame, ahead, ahead, regions, share)
             candidates.append(found if found is not None and is_the_same(joint, found, ahead) else None)
     candidates += [narrowed(team, joint, frame, found, ahead, regions) for found in candidates]
-    good = [found for found in candidates if found is not None and not is_doubtful(team, joint, found)]
+    sound = [found for found in candidates if found is not None and not joint.may_be_background(found.agreed, MOVED)]
+    good = [found for found in sound if not is_doubtful(team, joint, found)]
     best = max(good, key=lambda found: score(team, joint, found), default=None)
     return joint, best if best is not None and is_convincing(team, joint, best) else None
 
