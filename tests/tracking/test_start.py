@@ -5,21 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import islice
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.kinds import KINDS
 from sylpose.features.sift import Features
 from sylpose.landmarks.table import LandmarkTable
 from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import FloatArray
-from sylpose.results import Status
+from sylpose.results import FrameStatus, Status
 from sylpose.rig import Rig
 from sylpose.simulate import arc, ellipsoid
 from sylpose.tracking.crew import OneProcess
 from sylpose.tracking.frame import CameraFrame, Pair
 from sylpose.tracking.start import RIVAL_SHARE, FirstMotion, first_motion, is_ambiguous
+from sylpose.tracking.tracker import track
+from tests.clips import statuses
 
 FIRST = 3
 AT = np.array([0.03, -0.02, 0.05])
@@ -258,3 +262,16 @@ def test_the_object_is_not_its_own_rival(crew: OneProcess, rig: Rig, noise_px: f
     # If it were not taken out it would be.
     blind = replace(found, inliers=[[] for _ in rig])
     assert is_ambiguous(crew, rig, pairs, FIRST, blind, np.random.default_rng(1))
+
+
+def test_a_frame_that_waited_may_tell_where_the_surface_is() -> None:
+    """Of two cameras the first motion leaves it open; the one that tells it makes the end of that motion forgotten."""
+    take = KINDS["jumps-25"](np.random.default_rng([3, *b"jumps-25"]))
+    tracked = list(track(islice(take.frames(), 5), take.scene.rig, take.boxes, seed=3))
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 4
+    truth = take.scene.poses()
+    for frame in tracked:
+        pose = frame.pose.world_from_object
+        assert pose is not None
+        off = pose * (truth[frame.pose.index] * truth[0].inv() * tracked[0].pose.world_from_object).inv()
+        assert np.degrees(off.rotation.magnitude()) < 2.0

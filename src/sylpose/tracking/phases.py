@@ -373,12 +373,15 @@ def _begun(
     for waited in others:
         joint, tracked = _solved_later(team, joint, waited, joint.predicted(waited.frames.time))
         decided.append(tracked)
-    motion = end.world_from_object * joint.base.world_from_object.inv()
-    joint = joint.accepted(end, motion, anew=False)
-    joint = replace(joint, keyframes=tuple(sorted(joint.keyframes, key=lambda k: k.number)))
-    if team.follows:
-        crew.each(lambda c: parts[c].anchor_at(end.number, ends.frames.images[c], None))
-        joint = replace(joint, anchor=Anchor(end))
+    if end.number in joint.known:
+        motion = end.world_from_object * joint.base.world_from_object.inv()
+        joint = joint.accepted(end, motion, anew=False)
+        joint = replace(joint, keyframes=tuple(sorted(joint.keyframes, key=lambda k: k.number)))
+        if team.follows:
+            crew.each(lambda c: parts[c].anchor_at(end.number, ends.frames.images[c], None))
+            joint = replace(joint, anchor=Anchor(end))
+    else:  # one of them told where the surface is; what had been believed of it, and the end by it, is forgotten
+        joint, last = _solved_later(team, joint, ends, joint.predicted(ends.frames.time))
     if is_ambiguous(crew, rig, pairs, first.number, found, team.rng()):
         decided[0] = replace(decided[0], note=AMBIGUOUS)
     return joint, [*decided, last]
