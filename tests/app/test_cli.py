@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -234,6 +235,18 @@ def box_of(session: Path, name: str) -> list[int]:
     half = 0.11 * camera.focal / depth
     x, y = camera.project(poses[0].translation)[0]
     return [int(x - half), int(y - half), int(2 * half), int(2 * half)]
+
+
+def test_track_says_what_looks_wrong_at_first_and_when_it_fails(run: Command, session: Path) -> None:
+    """A calibration that holds the poses' inverses."""
+    (session / "boxes.toml").unlink()
+    rig = calibration.load(session / "calibration.toml")
+    inverse = Rig([replace(camera, camera_from_world=camera.camera_from_world.inv()) for camera in rig], rig.unit)
+    calibration.save(inverse, session / "calibration.toml")
+    result = run("track", session, "--no-overlay")
+    assert result.code == 1, result.out
+    assert "seems to hold world_from_camera" in " ".join(result.out.split())
+    assert result.err.index("no frame could be solved") < result.err.index("seems to hold world_from_camera")
 
 
 def test_nothing_found_is_exit_code_1(run: Command, session: Path) -> None:

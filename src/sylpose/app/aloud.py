@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from sylpose.app import text
+from sylpose.app.check import concerns
 from sylpose.app.compiling import compile_all
-from sylpose.app.notes import notes
 from sylpose.app.results_folder import EARLIER
 from sylpose.app.run import Run, output_path, track_session
 from sylpose.capture import Session
@@ -32,7 +32,7 @@ def track_aloud(session: Session | LiveSession, out: Path | None, **options: Any
     console = text.make_console()
     console.print(text.headline(session))
     start, stop, every = options.get("start", 0), options.get("stop"), options.get("every", 1)
-    text.print_warnings(console, notes(session, start))
+    text.print_warnings(console, concerns(session, start))
     frames = None
     if session.n_frames is not None:
         frames = len(range(start, session.n_frames if stop is None else min(stop, session.n_frames), max(every, 1)))

@@ -15,6 +15,7 @@ from sylpose.app.opening import check_out
 from sylpose.app.text import length
 from sylpose.calibration import anipose, caliscope
 from sylpose.capture import Session
+from sylpose.capture.live import LiveSession
 from sylpose.files import output_folder
 from sylpose.numerics.arrays import FloatArray
 from sylpose.reading import parsed_toml, text_of
@@ -23,7 +24,17 @@ from sylpose.report.rigview import describe_rig, meeting_point, plot_rig
 from sylpose.rig import Rig
 from sylpose.tracking.region import volume_from_boxes
 
-__all__ = ["Place", "calibration_format", "check_aloud", "facts", "look_at", "object_place", "obstacles", "warnings"]
+__all__ = [
+    "Place",
+    "calibration_format",
+    "check_aloud",
+    "concerns",
+    "facts",
+    "look_at",
+    "object_place",
+    "obstacles",
+    "warnings",
+]
 
 
 # Cameras nearer to each other than this share of their distance to the object count as one place (choice: parallax
@@ -100,7 +111,7 @@ def follows(session: Session) -> Follows:
     return Follows(first, box_outlines(session, boxes), f"what is in the boxes of {', '.join(boxes)}")
 
 
-def object_place(session: Session) -> Place:
+def object_place(session: Session | LiveSession) -> Place:
     """Where boxes in two or more cameras meet; without them where the optical axes do."""
     if len(session.boxes) < 2:
         return Place(meeting_point(session.rig), None, "the optical axes")
@@ -156,15 +167,20 @@ def _where(rig: Rig, place: Place) -> str:
     return where
 
 
-def warnings(session: Session, places: Mapping[str, Place]) -> list[str]:
-    """All that looks wrong but can be worked with, or at least tried; `places` by object."""
+def concerns(session: Session | LiveSession, start: int = 0) -> list[str]:
+    """What looks wrong with a session that is to be tracked from frame `start` on, without a look at its images."""
+    return warnings(session, {name: object_place(session.of(name)) for name in session.objects}, start)
+
+
+def warnings(session: Session | LiveSession, places: Mapping[str, Place], start: int = 0) -> list[str]:
+    """All that looks wrong but can be worked with, or at least tried, from frame `start` on; `places` by object."""
     of_objects = {
         name: [*look_at(session.rig, place), *_boxes(session.of(name), place)] for name, place in places.items()
     }
     # What is wrong with the rig is so for all of them.
     common = [said for said in next(iter(of_objects.values())) if all(said in own for own in of_objects.values())]
     own = [f"{name}: {said}" for name, found in of_objects.items() for said in found if said not in common]
-    return [*notes(session), *common, *own]
+    return [*notes(session, start), *common, *own]
 
 
 def obstacles(places: Mapping[str, Place]) -> list[str]:
@@ -224,7 +240,7 @@ def _sees(rig: Rig, name: str, point: FloatArray) -> bool:
     return bool(np.isfinite(pixel).all() and (pixel >= 0).all() and (pixel <= np.array(rig[name].size) - 1).all())
 
 
-def _boxes(session: Session, place: Place) -> list[str]:
+def _boxes(session: Session | LiveSession, place: Place) -> list[str]:
     boxes, found = session.boxes, []
     if len(boxes) == 1 and len(session.rig) > 1:
         found.append(
@@ -239,6 +255,8 @@ def _boxes(session: Session, place: Place) -> list[str]:
                     f"The box of {name} does not fit the others: the place where they meet is "
                     f"{np.linalg.norm(offset):.0f} px from its middle."
                 )
+    if isinstance(session, LiveSession):
+        return found
     first = session.timeline.frames[0]
     late = [name for name, frame in zip(session.rig.names, first, strict=True) if name in boxes and frame < 0]
     if late:

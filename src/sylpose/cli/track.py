@@ -103,6 +103,7 @@ def track(
     masks, the object is what moves against the standing background.
     """
     from sylpose.app.aloud import track_aloud, why_nothing
+    from sylpose.app.check import concerns
     from sylpose.app.opening import open_asked
     from sylpose.app.run import has_ended, output_path
     from sylpose.sync.offsets import find_offsets
@@ -132,7 +133,9 @@ def track(
         seed=seed,
     )
     missing = why_nothing(opened, run)
+    # What looked wrong from the start may be why, and has gone by long ago.
+    sentences = [*missing, *(concerns(opened, start) if missing else ())]
     if len(missing) == len(run.trajectories):
-        fail(missing)
-    for sentence in missing:
+        fail(sentences)
+    for sentence in sentences:
         say(sentence)
