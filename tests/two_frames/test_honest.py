@@ -61,3 +61,12 @@ def test_of_two_cameras_that_contradict_each_other_none_is_believed() -> None:
 
 def test_four_matches_that_happen_to_agree_are_not_believed_to_be_exact() -> None:
     assert share_ok(told("pose, few", 100, wrong=1)) >= 0.8
+
+
+def test_noise_beyond_all_that_is_usual_is_measured_or_said_to_be_no_motion() -> None:
+    """Held down to what the seeds allow, it chose matches of no motion, and was sure of it."""
+    assert share_ok(told("noise x 3", 20, wrong=1)) >= 0.6
+    assert share_ok(told("noise x 10", 30)) >= 0.3
+    statuses = told("noise x 10, wrong 30 to 60 %", 30, wrong=1)
+    assert statuses.count(Status.NOT_CONSISTENT) >= 10
+    assert Status.OK not in told("all wrong", 20)
