@@ -70,3 +70,8 @@ def test_noise_beyond_all_that_is_usual_is_measured_or_said_to_be_no_motion() ->
     statuses = told("noise x 10, wrong 30 to 60 %", 30, wrong=1)
     assert statuses.count(Status.NOT_CONSISTENT) >= 10
     assert Status.OK not in told("all wrong", 20)
+
+
+def test_two_cameras_on_opposite_sides_do_not_know_how_far_away_the_object_is() -> None:
+    assert share_ok(told("two opposite", 30, wrong=1)) >= 0.5
+    told("two opposite, wrong 30 to 60 %", 30, wrong=1)
