@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import lgamma
 
 import numpy as np
@@ -21,7 +21,9 @@ from sylpose.known_model.pose_kernels import (
     search,
 )
 from sylpose.known_model.pose_noise import CUTOFF, Noise
+from sylpose.known_model.pose_views import agreeing, part_of, views_of
 from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.copies import distinct
 from sylpose.numerics.matrices import covariance_of
 from sylpose.numerics.robust import BIQUARTIC_BOUND
 from sylpose.numerics.unseen import UNSEEN_SHARE, UNSEEN_TURN, about_a_turn, unseen_directions
@@ -45,6 +47,11 @@ WORSE, WORSE_BY = 2.0, 3.0
 SAME_TURN = 0.05
 # A pose counts as chance when random matches would show one as good more often than this (choice).
 BY_CHANCE = 0.01
+# A camera says the pose that so large a share of its matches agree with (choice: a majority).
+SAYS = 0.5
+# Noise that is believed beforehand, pixels, as if so many degrees of freedom had shown it: four matches, which leave two,
+# may agree by far better than they were measured (choice).
+USUAL_PX, USUAL_FREEDOM = 0.5, 2.0
 # Of two poses that explain the matches nearly equally well, the better is believed from these odds on (choice).
 CLEAR_ODDS = 3.0
 
@@ -76,18 +83,20 @@ def estimate_pose(
     Args:
         rig: C cameras.
         points: C arrays (n_c, 3), what each camera sees, in the object's frame; empty where it sees nothing.
-        pixels: C arrays (n_c, 2), where it sees them, in the image as recorded (lens included).
+        pixels: C arrays (n_c, 2), where it sees them, in the image as recorded (lens included). A match that is given
+            several times counts once.
         max_error_px: matches further off than this are wrong, whatever the noise; set it to five times the largest
             noise that is to be expected.
         seed: of the search. Same input and seed, same result.
 
     Returns:
-        `Motion` with `motion` world_from_object; look at its `status` first. `center` is the mean of all given points, in
-        the object's frame, as the centre of any motion is where it starts: `motion.apply(center)` is where it lies in
-        the world, and the covariance is of (w, d) with d the error of that place. `residuals` are reprojection errors.
+        `Motion` with `motion` world_from_object; look at its `status` first. `center` is the mean of all given points,
+        copies aside, in the object's frame, as the centre of any motion is where it starts: `motion.apply(center)` is where
+        it lies in the world, and the covariance is of (w, d) with d the error of that place. `residuals` are reprojection
+        errors.
         Fewer than four different matches give TOO_FEW_MATCHES; points on one line TURN_NOT_OBSERVABLE; a place that is
         less certain than half of its distance from the cameras SCALE_NOT_OBSERVABLE; matches that agree no better than
-        random ones NOT_CONSISTENT.
+        random ones, or cameras as many of which say another pose, NOT_CONSISTENT.
 
     Raises:
         ValueError: not one array per camera; shapes that do not fit; values that are not finite, naming the camera; a
@@ -107,6 +116,12 @@ def estimate_pose(
     for camera, x, u in zip(rig, models, places, strict=True):
         if len(x) != len(u):
             raise ValueError(f"camera {camera.name}: {len(x)} points but {len(u)} pixels; give one pixel per point")
+    singles = [distinct(x, u) for x, u in zip(models, places, strict=True)]
+    if any(single is not None for single in singles):
+        once = [[v if s is None else v[s.rows] for v, s in zip(vs, singles, strict=True)] for vs in (models, places)]
+        found = estimate_pose(rig, *once, max_error_px=max_error_px, seed=seed)
+        masks = zip(found.inliers, singles, strict=True)
+        return replace(found, inliers=tuple(mask if s is None else mask[s.which] for mask, s in masks))
     counts = np.array([len(x) for x in models])
     model = np.concatenate(models)
     center = model.mean(axis=0) if len(model) else np.full(3, np.nan)
@@ -114,7 +129,7 @@ def estimate_pose(
         return _result(counts, Status.TOO_FEW_MATCHES, center)
     used = np.flatnonzero(counts)
     cameras = [rig.cameras[c] for c in used]
-    origin, views = _views(cameras, model - center, [places[c] for c in used])
+    origin, views = views_of(cameras, model - center, [places[c] for c in used])
     extent, axes = np.linalg.eigh(views.points.T @ views.points / len(model))
     if not extent[1] > 1e-12 * extent[2]:
         return _result(counts, Status.TURN_NOT_OBSERVABLE, center, unseen=np.eye(6))
@@ -123,11 +138,13 @@ def estimate_pose(
         return _result(counts, Status.NOT_CONSISTENT, center)
     best = poses[0]
     status = Status.OK if best.settled else Status.NOT_CONVERGED
-    # Where all matches agree there is no choice that chance could have made.
-    if not best.weights.all() and _log_chance(views, best) > np.log(BY_CHANCE):
+    every = bool(best.weights.all())
+    if not every and (_by_luck(views, best) or _contradicted(views, best, max_error_px**2, axes[:, 0], seed)):
         status = Status.NOT_CONSISTENT
     seen = np.empty((6, 6))
     information(views, best.rotation, best.place, best.noise, seen)
+    # The noise is itself estimated: the covariance is that of Student's distribution.
+    seen *= max(best.freedom - 2.0, 0.5) / best.freedom * _as_believed(best)
     unseen = np.empty((0, 6))
     if status is Status.OK:
         limits = _limits(views, best)
@@ -135,8 +152,8 @@ def estimate_pose(
         unseen = weak * limits
         if len(weak):
             status = Status.TURN_NOT_OBSERVABLE if about_a_turn(weak) else Status.SCALE_NOT_OBSERVABLE
-    # The noise is itself estimated: the covariance is that of Student's distribution.
-    seen *= max(best.freedom - 2.0, 0.5) / best.freedom
+        elif every and _by_luck(views, best):
+            status = Status.NOT_CONSISTENT
     return _result(counts, status, center, best, origin, seen, unseen)
 
 
@@ -160,36 +177,6 @@ def _enough(model: FloatArray, camera: IntArray) -> bool:
         if len(different) == MIN_MATCHES:
             return True
     return False
-
-
-def _views(cameras: Sequence[Camera], model: FloatArray, pixels: Sequence[FloatArray]) -> tuple[FloatArray, Views]:
-    """The world's origin (3,), moved to the middle of the cameras so that places far off cost no digits, and the views."""
-    poses = np.array([camera.camera_from_world.as_matrix() for camera in cameras])
-    turns, shifts = np.ascontiguousarray(poses[:, :3, :3]), poses[:, :3, 3]
-    origin = -np.einsum("cij,ci->j", turns, shifts) / len(cameras)
-    start = np.concatenate([[0], np.cumsum([len(u) for u in pixels])])
-    images, to_pixels = np.empty((len(model), 2)), np.empty((len(model), 4))
-    for c, (camera, u) in enumerate(zip(cameras, pixels, strict=True)):
-        of_camera = slice(start[c], start[c + 1])
-        images[of_camera], to_pixels[of_camera] = _without_lens(camera, u)
-    # What a lens cannot have made is far outside of every image.
-    lost = ~(np.isfinite(images).all(axis=1) & np.isfinite(to_pixels).all(axis=1))
-    images[lost], to_pixels[lost] = 1e9, (1.0, 0.0, 0.0, 1.0)
-    return origin, Views(model, images, to_pixels, start, turns, shifts + turns @ origin)
-
-
-def _without_lens(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Normalised points (n, 2), and (n, 4) or (4,), row-major, how the recorded pixel moves with each."""
-    if camera.lens == "opencv" and not camera.distortion.any():
-        # Nothing to undo: OpenCV's call would be a third of the time that many cameras with few points take.
-        focals = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
-        return (pixels - camera.matrix[:2, 2]) / focals, np.array([focals[0], 0.0, 0.0, focals[1]])
-    images = camera.normalize(pixels)
-    h = 1e-4
-    sides = h * np.array([[[1.0, 0.0]], [[-1.0, 0.0]], [[0.0, 1.0]], [[0.0, -1.0]]])
-    right, left, down, up = camera.denormalize((images + sides).reshape(-1, 2)).reshape(4, -1, 2)
-    by_u, by_v = (right - left) / (2 * h), (down - up) / (2 * h)
-    return images, np.stack([by_u[:, 0], by_v[:, 0], by_u[:, 1], by_v[:, 1]], axis=1)
 
 
 def _best_poses(views: Views, top: float, thin: FloatArray, rng: np.random.Generator) -> list[_Pose]:
@@ -300,6 +287,37 @@ def _log_chance(views: Views, pose: _Pose) -> float:
     n, (k, log_share) = len(pose.weights), by_chance(views, pose.place, pose.weights, pose.noise)
     choices = lgamma(n + 1) - lgamma(n - k + 1) - lgamma(4) - lgamma(k - 2)
     return float(np.log(n) + choices + (k - 3) / k * log_share)
+
+
+def _by_luck(views: Views, pose: _Pose) -> bool:
+    """Whether random matches might show a pose as good. Where all matches agree there is no choice that chance could have
+    made, and it is those that a pose does not satisfy anyway that must agree."""
+    if not pose.weights.all():
+        return bool(_log_chance(views, pose) > np.log(BY_CHANCE))
+    k, log_share = by_chance(views, pose.place, pose.weights, pose.noise)
+    return bool((k - 3) / k * log_share > np.log(BY_CHANCE))
+
+
+def _contradicted(views: Views, pose: _Pose, top: float, thin: FloatArray, seed: int) -> bool:
+    """Whether as many cameras say another pose, by which none is to be believed more: of two, that one is turned against its
+    calibration. Cameras of wrong matches say none."""
+    agree, counts = agreeing(views, pose.weights), np.diff(views.start)
+    contrary = agree < SAYS * counts
+    if 2 * contrary.sum() < len(agree) or (counts - agree)[contrary].max() < MIN_MATCHES:
+        return False
+    others, some = part_of(views, (pose.weights == 0.0) & np.repeat(contrary, counts))
+    poses = _best_poses(others, top, thin, np.random.default_rng(seed))
+    if not poses or _by_luck(others, poses[0]):
+        return False
+    instead = agreeing(others, poses[0].weights) > agree[some]
+    return 2 * int(instead.sum()) >= len(agree)
+
+
+def _as_believed(pose: _Pose) -> float:
+    """What is left of a pose's information where its noise is less than what is believed of noise."""
+    shown = float(np.median(pose.noise.variances))
+    variance = (pose.freedom * shown + USUAL_FREEDOM * USUAL_PX**2) / (pose.freedom + USUAL_FREEDOM)
+    return min(shown / variance, 1.0)
 
 
 def _limits(views: Views, pose: _Pose) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel, symmetric_eigen
 from sylpose.two_frames.mixtures import alike, is_mixed
-from sylpose.two_frames.reweight import Reweighted
+from sylpose.two_frames.reweight import Reweighted, spread_evenly
 from sylpose.two_frames.rivals import are_close, has_likely
 from sylpose.two_frames.standing import may_stand
 from sylpose.two_frames.strain import at_ease
@@ -27,6 +27,7 @@ class Checks(NamedTuple):
         inliers: how many.
         finite: whether the search has ended somewhere.
         certain: whether so many of the matches that may be inliers are not by chance (`is_consistent`).
+        even: whether the inliers are spread evenly rather than as noise is: chosen by what is held to be noise.
         close: whether the cameras are close together (`second_planes`).
         quiet: whether a background may be among the matches (`hidden`).
         lined: whether they lie on lines (`on_lines`).
@@ -44,6 +45,7 @@ class Checks(NamedTuple):
     inliers: int
     finite: bool
     certain: bool
+    even: bool
     close: bool
     quiet: bool
     lined: bool
@@ -93,6 +95,7 @@ def check(
         inliers,
         finite,
         inliers >= CERTAIN_SHARE * could,
+        not parted and spread_evenly(found.weights),
         are_close(stack.a2),
         may_stand(stack, usable),
         on_lines(stack, found.weights, found.sigma_px, np.zeros((3, 3))),

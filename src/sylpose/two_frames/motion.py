@@ -14,6 +14,7 @@ from sylpose.matches import Matches
 from sylpose.methods import MOTION_METHODS as METHODS
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.numerics.compiled import kernel
+from sylpose.numerics.copies import distinct
 from sylpose.numerics.matrices import covariance_of, forget
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig
@@ -48,7 +49,8 @@ def estimate_motion(
 
     Args:
         rig: C cameras.
-        matches: C sets of matches, in the rig's order; `Matches.none()` for a camera that sees nothing.
+        matches: C sets of matches, in the rig's order; `Matches.none()` for a camera that sees nothing. One that is given
+            several times counts once.
         method: "epipolar" (perspective, six degrees of freedom, robust: docs/method.md, "Two frames") or one of the paper's
             estimators, from the pair moments of its inliers: "sylvester" (centralised), "depth-plane" (with a plane for
             the depth), "exchange", "refine", "gossip" (distributed), "one-camera" and "unconstrained" (of the camera that
@@ -81,6 +83,12 @@ def estimate_motion(
         raise ValueError("initial: the transform has values that are not finite")
     if center is not None and not np.isfinite(np.asarray(center, dtype=float)).all():
         raise ValueError(f"center: {center!r} is not a point of three finite coordinates")
+    singles = [distinct(m.x, m.y) for m in matches]
+    if any(single is not None for single in singles):
+        once = [m if s is None else Matches(m.x[s.rows], m.y[s.rows]) for m, s in zip(matches, singles, strict=True)]
+        found = estimate_motion(rig, once, method=method, initial=initial, center=center, radius=radius, seed=seed)
+        masks = zip(found.inliers, singles, strict=True)
+        return replace(found, inliers=tuple(mask if s is None else mask[s.which] for mask, s in masks))
     data = [
         TermData(c, m.x, m.y, camera.rotation, camera.center, camera.focal)
         for c, (camera, m) in enumerate(zip(rig, matches, strict=True))

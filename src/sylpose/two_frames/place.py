@@ -16,8 +16,8 @@ __all__ = ["ROUNDING", "misplaced", "placed"]
 # Centers nearer to each other than this, of their coordinates, are one (derived: rounding).
 ROUNDING = 1e-9
 # g is where median rays meet: cameras nearly in one place, by the smallest eigenvalue of the normal equations of that point,
-# tell nothing of it (choice), and those whose mean ray is shorter than this look from opposite sides (choice).
-ONE_PLACE, OPPOSITE = 1e-5, 0.5
+# tell nothing of it (choice).
+ONE_PLACE = 1e-5
 # Where their inverse distance is so many standard deviations above nothing, rays do meet (choice).
 CONVERGING = 5.0
 # Where rays go so far apart that their mean is shorter, a cone of some 36 degrees, they do (choice).
@@ -139,22 +139,20 @@ def misplaced(a1: FloatArray, qx: FloatArray, offset_sd: float, out: FloatArray)
     signed, since one unknown is behind them all.
 
     g is where the terms' median rays meet, each of which misses the object's centre by `offset_sd` radii or so. Cameras
-    close together, seen from the object, magnify that along the direction that they see it in. Those in one place tell
-    nothing of it, and nothing is assumed.
+    close together, seen from the object, or on opposite sides of it, magnify that along the direction that they see it in.
+    Those in one place tell nothing of it, and nothing is assumed.
     """
     n = len(a1)
-    total, mean, values, vectors = np.zeros((3, 3)), np.zeros(3), np.empty(3), np.empty((3, 3))
+    total, values, vectors = np.zeros((3, 3)), np.empty(3), np.empty((3, 3))
     for t in range(n):
         length = max(np.sqrt(a1[t, 0] ** 2 + a1[t, 1] ** 2 + a1[t, 2] ** 2), 1e-300)
         for i in range(3):
-            mean[i] += a1[t, i] / length / n
             total[i, i] += 1.0
             for j in range(3):
                 total[i, j] -= a1[t, i] * a1[t, j] / (length * length)
     # The sum of the eigenvalues is twice the number of rays, and none exceeds that number: at most one is below 1.
     symmetric_eigen(total, values, vectors)
-    # Cameras on opposite sides have it between them.
-    if not values[0] > ONE_PLACE or np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2) < OPPOSITE:
+    if not values[0] > ONE_PLACE:
         out[:] = 0.0
         return
     worse = offset_sd * np.sqrt(max(1.0 / values[0] - 1.0, 0.0))

@@ -27,9 +27,11 @@ __all__ = [
     "INDEPENDENT",
     "SETTLED",
     "SIGMA_FLOOR_PX",
+    "SIGMA_GROWTH",
     "Reweighted",
     "nothing_yet",
     "reweight",
+    "spread_evenly",
 ]
 
 
@@ -37,6 +39,9 @@ __all__ = [
 # freedom (choice); what the weighted mean square and the information of the weights then lack (derived).
 CUTOFF = 5.0
 SHRINKAGE, GAIN = bisquare_on_noise(CUTOFF).shrinkage, bisquare_on_noise(CUTOFF).gain
+# Mean weights of matches that are spread evenly up to the cutoff, and half way from there to those of noise (derived).
+EVENLY = 8.0 / 15.0
+EVEN = 0.5 * (EVENLY + bisquare_on_noise(CUTOFF).weight)
 # Cutoffs of the first rounds are wider by these factors: the first motion comes from contaminated matches (choice).
 WIDER = (2.0, 1.5, 1.2)
 # Rounds at least, while the noise level still moves, and at most (choice).
@@ -326,3 +331,13 @@ def _set_aside(stack: Stack, usable: Usable, weights: FloatArray, trusted: BoolA
             best = max(best, share[t])
     for t in range(n):
         trusted[t] = best < MANY or share[t] >= CAMERA_MIN_SHARE
+
+
+@kernel
+def spread_evenly(weights: FloatArray) -> bool:
+    """Whether inliers, by their weights (N,), are spread evenly rather than as noise is: chosen by what is held to be it."""
+    inliers, mass = 0, 0.0
+    for w in weights:
+        inliers += w > 0.0
+        mass += w
+    return bool(mass < EVEN * inliers)

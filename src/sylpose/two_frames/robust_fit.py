@@ -12,7 +12,15 @@ from sylpose.numerics.compiled import kernel
 from sylpose.two_frames.affine_turns import FEW
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.moments_cost import Sums, moments_into
-from sylpose.two_frames.reweight import SETTLED, SIGMA_FLOOR_PX, Reweighted, nothing_yet, reweight
+from sylpose.two_frames.reweight import (
+    SETTLED,
+    SIGMA_FLOOR_PX,
+    SIGMA_GROWTH,
+    Reweighted,
+    nothing_yet,
+    reweight,
+    spread_evenly,
+)
 from sylpose.two_frames.search import Minima, no_minima, search
 from sylpose.two_frames.seeds import hyperplane_inliers
 from sylpose.two_frames.terms import Guesses, Stack, copy_into
@@ -39,6 +47,8 @@ SECOND_CHANCE = 60.0
 # turn, are not refined again (choice).
 LOOKS, SAME_SHARE = 2, 0.1
 MOST = LOOKS * KEEP
+# Times that noise may double beyond what the seeds allow; it is held down by that where it comes so near (choice).
+NOISIER, HELD = 4, 0.99
 
 
 class Uniform(Protocol):
@@ -134,16 +144,55 @@ def robust_fit(
             found.costs[k], found.inliers[k] = cost, (trial.weights > 0.0).sum()
             if cost < best:
                 best, promise = cost, promised
-                copy_into(fit.candidate, trial.candidate)
-                fit.sigma_px[:], fit.weights[:], fit.across[:] = trial.sigma_px, trial.weights, trial.across
-                fit.information[:], fit.without_depth[:] = trial.information, trial.without_depth
-                fit.noise[:], fit.relief[:], fit.place[:] = trial.noise, trial.relief, trial.place
+                _become(fit, trial)
         if not best < np.inf:
             break
         for i in range(len(seeds)):
             seeds[i] = 1.0 if fit.weights[i] > 0.0 else 0.0
         sigma_px[:] = fit.sigma_px
+    if best < np.inf:
+        done, promised, cost = _noisier(stack, usable, fit, SIGMA_GROWTH * first_sigma.max(), best, trial)
+        iterations += done
+        if cost < best:
+            promise, k = promised, int(np.argmin(found.costs))
+            _become(fit, trial)
+            found.rotations[k], found.shifts[k] = fit.candidate.rotation, fit.candidate.shift
+            found.costs[k], found.inliers[k] = cost, (fit.weights > 0.0).sum()
     return fit, found, iterations, promise
+
+
+@kernel
+def _noisier(
+    stack: Stack, usable: FloatArray, fit: Reweighted, most: float, best: float, trial: Reweighted
+) -> tuple[int, float, float]:
+    """trial becomes the fit with more noise than `most`, where noise is held down by that in most of the cameras and more is
+    likelier: what is held down chooses matches that need not be any motion's. Of some of the cameras only, these may be at
+    fault; and where what agrees is spread evenly, it is no noise.
+
+    Returns:
+        as `reweight`; a cost of infinity without one.
+    """
+    iterations, promise, cost = 0, np.inf, np.inf
+    _become(trial, fit)
+    for _ in range(NOISIER):
+        if 2 * (trial.sigma_px > HELD * most).sum() <= len(trial.sigma_px):
+            break
+        most = SIGMA_GROWTH * trial.sigma_px.max()
+        done, promised, cost_again = reweight(stack, usable, trial, SIGMA_FLOOR_PX)
+        iterations += done
+        if not cost_again < best:
+            return iterations, np.inf, np.inf
+        promise, cost, best = promised, cost_again, cost_again
+    return iterations, promise, np.inf if spread_evenly(trial.weights) else cost
+
+
+@kernel
+def _become(to: Reweighted, source: Reweighted) -> None:
+    """to becomes equal to source."""
+    copy_into(to.candidate, source.candidate)
+    to.sigma_px[:], to.weights[:], to.across[:] = source.sigma_px, source.weights, source.across
+    to.information[:], to.without_depth[:] = source.information, source.without_depth
+    to.noise[:], to.relief[:], to.place[:] = source.noise, source.relief, source.place
 
 
 def fitted(stack: Stack, usable: BoolArray, guesses: Guesses, rng: Uniform) -> tuple[Reweighted, Settled, int, float]:

@@ -90,7 +90,7 @@ def fit_terms(
         return replace(
             fit, iterations=int(iterations + part.iterations), standing=standing if fit.status.has_pose else 0.0
         )
-    if not (checks.certain or is_consistent(stack, usable, found)):
+    if checks.even or not (checks.certain or is_consistent(stack, usable, found)):
         return no_fit(data, Status.NOT_CONSISTENT)
     fit = _answer(data, stack, radius, found, minima, promise, every, usable, larger, checks)
     return replace(fit, iterations=int(iterations))
