@@ -20,9 +20,10 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.matrices import checked_rotations, covariance_of
+from sylpose.numerics.checked import finite, kind_of, real, shown
+from sylpose.numerics.matrices import checked_rotation, covariance_of
 from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory, pan_tilt_roll
-from sylpose.rig import Camera, Rig
+from sylpose.rig import Camera, Rig, single_pose
 
 __all__ = [
     "MotionView",
@@ -106,6 +107,8 @@ def view_of_motion(motion: Motion, camera: Viewpoint, *, rig: Rig | None = None)
     Raises:
         ValueError: a name without a rig or that the rig does not have; a transform that is no single finite one.
     """
+    kind_of(motion, Motion, "motion")
+    finite(motion.information, (6, 6), "motion.information", most=np.inf)
     pose = camera_from_world_of(camera, rig)
     turn = _turn(pose)
     information = turn @ motion.information @ turn.T
@@ -131,11 +134,11 @@ def view_of_rotation(estimate: RotationEstimate, camera: Viewpoint, *, rig: Rig 
         ValueError: as `view_of_motion`; a matrix that is neither a rotation nor NaN, an information that is not (3, 3)
             and finite.
     """
-    R, information = (np.asarray(a, dtype=float) for a in (estimate.rotation, estimate.information))
+    kind_of(estimate, RotationEstimate, "estimate")
+    R = real(estimate.rotation, "(3, 3)", "estimate.rotation")
     if R.shape != (3, 3) or not np.isnan(R).all():
-        checked_rotations(R[None], 1)
-    if information.shape != (3, 3) or not np.isfinite(information).all():
-        raise ValueError(f"information must be (3, 3) and finite, got shape {information.shape}")
+        R = checked_rotation(R, "estimate.rotation")
+    information = finite(estimate.information, (3, 3), "estimate.information", most=np.inf)
     pose = camera_from_world_of(camera, rig)
     Q = pose.rotation.as_matrix()
     return RotationView(
@@ -161,6 +164,7 @@ def view_of_pose(pose: FramePose, camera: Viewpoint, *, rig: Rig | None = None) 
     Raises:
         ValueError: as `view_of_motion`.
     """
+    kind_of(pose, FramePose, "pose")
     camera_from_world = camera_from_world_of(camera, rig)
     return _pose_from(pose, camera_from_world, _turn(camera_from_world), RigidTransform.identity())
 
@@ -178,6 +182,7 @@ def trajectory_view(trajectory: Trajectory, camera: Viewpoint, *, rig: Rig | Non
     Raises:
         ValueError: as `view_of_motion`.
     """
+    kind_of(trajectory, Trajectory, "trajectory")
     camera_from_world = camera_from_world_of(camera, rig)
     turn = _turn(camera_from_world)
     axes = RigidTransform.from_rotation(camera_from_world.rotation.inv())
@@ -196,12 +201,12 @@ def camera_from_world_of(camera: Viewpoint, rig: Rig | None = None) -> RigidTran
     if isinstance(camera, str):
         if rig is None:
             raise ValueError(f"camera {camera!r} is given by its name, which takes a rig to look it up in")
-        if camera not in rig.names:
+        if camera not in kind_of(rig, Rig, "rig").names:
             raise ValueError(f"no camera {camera!r} in the rig ({', '.join(rig.names)})")
         return rig[camera].camera_from_world
-    if not camera.single or not np.isfinite(camera.as_matrix()).all():
-        raise ValueError("camera: camera_from_world must be a single transform of finite values")
-    return camera
+    if not isinstance(camera, RigidTransform):
+        raise TypeError(f"camera must be a Camera, a RigidTransform or a camera's name, got {shown(camera)}")
+    return single_pose(camera, "camera: camera_from_world")
 
 
 def _pose_from(pose: FramePose, camera_from_world: RigidTransform, turn: FloatArray, axes: RigidTransform) -> FramePose:
