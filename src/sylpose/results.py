@@ -216,7 +216,7 @@ class RotationEstimate:
 
 def pan_tilt_roll(rotation: Rotation) -> FloatArray:
     """(3,) radians, R = R_y(pan) R_x(tilt) R_z(roll) (docs/conventions.md)."""
-    return np.asarray(rotation.as_euler("YXZ", suppress_warnings=True))
+    return np.asarray(kind_of(rotation, Rotation, "rotation").as_euler("YXZ", suppress_warnings=True))
 
 
 @dataclass(frozen=True, eq=False)

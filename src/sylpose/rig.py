@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.checked import finite, finite_rows, items, kind_of, listed, number, real, rows, whole
+from sylpose.numerics.checked import finite, finite_rows, items, kind_of, listed, number, real, rows, shown, whole
 from sylpose.numerics.lens import TERMS, projected
 from sylpose.reading import one_line
 
@@ -82,14 +82,14 @@ class Camera:
             )
         size = _numbers(self, "size", self.size)
         if size.shape != (2,) or (size < 1).any() or (size != size.round()).any():
-            raise ValueError(f"camera {self.name}: the size must be (width, height) in pixels, got {self.size}")
+            raise ValueError(f"camera {self.name}: the size must be (width, height) in pixels, got {shown(self.size)}")
         if size.max() > MAX_SIDE or size.prod() > MAX_PIXELS:
             raise ValueError(
                 f"camera {self.name}: the size {size[0]:g} x {size[1]:g} is more than {MAX_SIDE} pixels a side or "
                 f"{MAX_PIXELS} in all"
             )
-        if self.lens not in ("opencv", "fisheye"):
-            raise ValueError(f"camera {self.name}: lens must be 'opencv' or 'fisheye', got {self.lens!r}")
+        if not isinstance(self.lens, str) or self.lens not in ("opencv", "fisheye"):
+            raise ValueError(f"camera {self.name}: lens must be 'opencv' or 'fisheye', got {shown(self.lens)}")
         allowed = OPENCV_TERMS if self.lens == "opencv" else (4,)
         if distortion.size == 0:
             distortion = np.zeros(5 if self.lens == "opencv" else 4)
@@ -234,7 +234,7 @@ class Rig:
 
     def __getitem__(self, name: str) -> Camera:
         if name not in self._index:
-            raise KeyError(f"no camera {name!r} in the rig ({', '.join(self.names)})")
+            raise KeyError(f"no camera {shown(name)} in the rig ({one_line(', '.join(self.names), 200)})")
         return self.cameras[self._index[name]]
 
     @property
@@ -247,9 +247,11 @@ class Rig:
 
         Raises:
             KeyError: a name that the rig does not have.
-            TypeError, ValueError: no names.
+            TypeError, ValueError: no names, or one twice.
         """
-        return Rig([self[name] for name in listed(names, str, "names")], self.unit)
+        if not (names := listed(names, str, "names")) or len(set(names)) < len(names):
+            raise ValueError(f"names: at least one is expected, and none twice; got {len(names)}")
+        return Rig([self[name] for name in names], self.unit)
 
 
 def check_name(name: str) -> None:
@@ -260,7 +262,7 @@ def check_name(name: str) -> None:
             text: control characters, marks that turn the direction of writing, halves of characters.
     """
     if not isinstance(name, str) or name.strip() in ("", ".", "..") or len(name) > MAX_NAME:
-        raise ValueError(f"a camera's name must be a word of at most {MAX_NAME} characters, got {one_line(repr(name))}")
+        raise ValueError(f"a camera's name must be a word of at most {MAX_NAME} characters, got {shown(name)}")
     wrong = sorted({c for c in name if c in "/\\" or one_line(f"a{c}b") != f"a{c}b"})
     if wrong:
         raise ValueError(

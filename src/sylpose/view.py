@@ -22,6 +22,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.checked import finite, kind_of, real, shown
 from sylpose.numerics.matrices import checked_rotation, covariance_of
+from sylpose.reading import one_line
 from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory, pan_tilt_roll
 from sylpose.rig import Camera, Rig, single_pose
 
@@ -200,9 +201,9 @@ def camera_from_world_of(camera: Viewpoint, rig: Rig | None = None) -> RigidTran
         return camera.camera_from_world
     if isinstance(camera, str):
         if rig is None:
-            raise ValueError(f"camera {camera!r} is given by its name, which takes a rig to look it up in")
+            raise ValueError(f"camera {shown(camera)} is given by its name, which takes a rig to look it up in")
         if camera not in kind_of(rig, Rig, "rig").names:
-            raise ValueError(f"no camera {camera!r} in the rig ({', '.join(rig.names)})")
+            raise ValueError(f"camera: no {shown(camera)} in the rig ({one_line(', '.join(rig.names), 200)})")
         return rig[camera].camera_from_world
     if not isinstance(camera, RigidTransform):
         raise TypeError(f"camera must be a Camera, a RigidTransform or a camera's name, got {shown(camera)}")

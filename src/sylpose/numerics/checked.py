@@ -115,7 +115,7 @@ def whole(value: Any, name: str, *, least: int = 0, most: int = 2**62) -> int:
     Raises:
         ValueError: naming the argument.
     """
-    if not isinstance(value, Integral) or not least <= int(value) <= most:
+    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) <= most:
         raise ValueError(f"{name}: {shown(value)} is not a whole number from {least} to {most}")
     return int(value)
 
@@ -213,7 +213,10 @@ def real(values: ArrayLike, wanted: str, name: str) -> FloatArray:
         raise ValueError(f"{name} must be {wanted}, got rows of different lengths or no numbers") from None
     if array.dtype.kind not in "fiub" and array.size:
         raise ValueError(f"{name} must be real numbers, got {array.dtype}")
-    return array.astype(float, copy=False) if array.size else np.empty(array.shape)
+    if not array.size:
+        return np.empty(array.shape)
+    array = array.astype(float, copy=False)
+    return array if array.flags.writeable else array.copy()  # compiled functions want them so
 
 
 def _in_range(array: FloatArray, name: str, most: float) -> None:

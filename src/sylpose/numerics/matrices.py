@@ -43,7 +43,8 @@ def checked_rotations(rotations: ArrayLike, n: int, name: str = "rotations") -> 
         raise ValueError(f"{name} must be (C, 3, 3) for C = {n} moments, C >= 1; got shape {out.shape}")
     # No entry of a rotation is beyond 1.
     sane = np.where((np.abs(out) < 2.0).all(axis=(1, 2), keepdims=True), out, 0)
-    wrong = (np.abs(sane @ transpose(sane) - np.eye(3)).max(axis=(1, 2)) > 1e-6) | (np.linalg.det(sane) < 0)
+    off = np.abs(sane @ transpose(sane) - np.eye(3)).max(axis=(1, 2)) > 1e-6
+    wrong = off | (np.linalg.det(np.where(off[:, None, None], np.eye(3), sane)) < 0)
     if wrong.any():
         raise ValueError(f"{name}[{int(np.argmax(wrong))}] is not a rotation matrix")
     return out

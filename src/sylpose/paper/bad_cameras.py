@@ -143,6 +143,7 @@ def solve_robust(
     Raises:
         ValueError: as `solve_centralized`; names that are not C.
     """
+    moments = listed(moments, PairMoments, "moments")
     diagnosis = diagnose(rotations, moments, names=names, aim=aim)
     Q = np.asarray(rotations, dtype=float)
     kept = np.flatnonzero(diagnosis.weights > 0).tolist()

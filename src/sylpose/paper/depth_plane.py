@@ -36,7 +36,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.checked import MOST, real, shown
+from sylpose.numerics.checked import MOST, listed, real, shown
 from sylpose.numerics.matrices import kron, transpose
 from sylpose.numerics.unseen import LEAST_TURN, UNSEEN_SHARE, unseen_directions
 from sylpose.paper.depth_plane_kernels import RELIEF, costs, derivatives
@@ -199,6 +199,7 @@ def problem_of(
     rotations: ArrayLike, moments: Sequence[PairMoments], noise: ArrayLike | None, aim: bool
 ) -> tuple[Problem, BoolArray]:
     """The cameras that count, and which of all these are."""
+    moments = listed(moments, PairMoments, "moments")
     views = views_of(rotations, moments, aim=aim)
     sigma = None
     if noise is not None:

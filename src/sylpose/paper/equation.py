@@ -184,7 +184,7 @@ def _checked(
         raise ValueError(f"rcond must be at least {EPSILON:.3g} and below 1, got {rcond}")
     if method is None:
         method = "kronecker" if m * n <= few or terms > 2 else "bartels-stewart"
-    if method not in ("kronecker", "bartels-stewart"):
+    if not isinstance(method, str) or method not in ("kronecker", "bartels-stewart"):
         raise ValueError(f'method must be "kronecker" or "bartels-stewart", got {shown(method)}')
     if method == "kronecker" and m * n > MOST_UNKNOWNS:
         raise ValueError(f"{m}x{n} unknowns are too many for the Kronecker product: at most {MOST_UNKNOWNS}")
@@ -374,10 +374,10 @@ def _closest(gaps: FloatArray, near: float, values: Sequence[Array], names: tupl
     collide = bool(gaps.min() <= near)
     indices = np.argwhere(gaps <= (near if collide else gaps.min()))
     pairs = [
-        f"{_number(values[0][i])} of {names[0]} with {_number(values[1][j])} of {names[1]}" for i, j in indices[:6]
+        f"{_number(values[0][i])} of {names[0]} with {_number(values[1][j])} of {names[1]}" for i, j in indices[:3]
     ]
-    if len(indices) > 6:
-        pairs.append(f"{len(indices) - 6} more")
+    if len(indices) > 3:
+        pairs.append(f"{len(indices) - 3} more")
     start = "eigenvalues collide," if collide else "the matrices are far from normal, closest eigenvalues"
     return f"; {start} {'; '.join(pairs)}"
 
