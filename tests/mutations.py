@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -54,6 +56,21 @@ def mutations(value: Any) -> Iterator[tuple[str, Any]]:
             for name, part in mutations(value[key]):
                 yield f"[{key}]: {name}", {**value, key: part}
         yield "unknown key", {**value, "nobody": next(iter(value.values()), 0)}
+    elif is_dataclass(value) and not isinstance(value, type):
+        yield from _records(value)
+
+
+def _records(value: Any) -> Iterator[tuple[str, Any]]:
+    """With other contents, as far as they can be made."""
+    for field in fields(value):
+        if field.init:
+            for name, part in mutations(getattr(value, field.name)):
+                with suppress(ValueError, TypeError):
+                    yield f"{field.name}: {name}", replace(value, **{field.name: part})
+    if {"x", "y"} <= {field.name for field in fields(value)}:
+        for factor in (0.0, 1e-300, 1e-155, 1e-40, 1e-9, 1e3, 1e6, 1e8):
+            with suppress(ValueError, TypeError):
+                yield f"x and y times {factor}", replace(value, x=value.x * factor, y=value.y * factor)
 
 
 def _arrays(a: np.ndarray[Any, Any]) -> Iterator[tuple[str, Any]]:
@@ -70,14 +87,14 @@ def _arrays(a: np.ndarray[Any, Any]) -> Iterator[tuple[str, Any]]:
     for kind in (object, str, complex, bool, int, np.float16, np.float32, "datetime64[s]", "S8"):
         with np.errstate(all="ignore"):
             yield f"as {kind}", a.astype(np.int64).astype(kind) if kind == "datetime64[s]" else a.astype(kind)
-    if a.ndim >= 1:
+    if a.ndim >= 1 and a.size:
         yield "fewer rows", a[:-1]
         yield "more rows", np.concatenate([a, a[-1:]])
         yield "fewer columns", a[..., :-1]
         yield "homogeneous", np.concatenate([a, np.ones((*a.shape[:-1], 1))], axis=-1)
         yield "one row", a[0]
         yield "ragged", [a[0].tolist(), [1.0]] if a.ndim > 1 else [1.0, [1.0]]
-    if a.ndim >= 2:
+    if a.ndim >= 2 and a.size:
         yield "transposed", a.swapaxes(-1, -2)
         yield "repeated", np.broadcast_to(a[:1], a.shape)
     for number in (0.0, -1.0, 1.0, np.nan, np.inf, -np.inf, 1e300, -1e300, 1e155, 1e40, 1e-40, 1e-155, 1e-300, 5e-324):

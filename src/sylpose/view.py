@@ -110,6 +110,14 @@ def view_of_motion(motion: Motion, camera: Viewpoint, *, rig: Rig | None = None)
     """
     kind_of(motion, Motion, "motion")
     finite(motion.information, (6, 6), "motion.information", most=np.inf)
+    center = real(motion.center, "(3,)", "motion.center")  # NaN without matches
+    unseen = finite(motion.unseen, ("k", 6), "motion.unseen", most=np.inf)
+    if center.shape != (3,) or (motion.motion is not None and not np.isfinite(center).all()):
+        raise ValueError(f"motion.center must be (3,), finite where there is a motion; got shape {center.shape}")
+    if motion.motion is not None:
+        single_pose(motion.motion, "motion.motion")
+    if not isinstance(motion.status, Status) or (motion.motion is None and motion.status.has_pose):
+        raise ValueError(f"motion: a status {shown(motion.status)} without a motion is none of an estimator's")
     pose = camera_from_world_of(camera, rig)
     turn = _turn(pose)
     information = turn @ motion.information @ turn.T
@@ -117,10 +125,10 @@ def view_of_motion(motion: Motion, camera: Viewpoint, *, rig: Rig | None = None)
         status=motion.status,
         camera_from_world=pose,
         motion=None if motion.motion is None else pose * motion.motion * pose.inv(),
-        center=np.asarray(pose.apply(motion.center)),
+        center=np.asarray(pose.apply(center)),
         information=information,
         covariance=covariance_of(information),
-        unseen=motion.unseen @ turn.T,
+        unseen=unseen @ turn.T,
     )
 
 
@@ -140,13 +148,16 @@ def view_of_rotation(estimate: RotationEstimate, camera: Viewpoint, *, rig: Rig 
     if R.shape != (3, 3) or not np.isnan(R).all():
         R = checked_rotation(R, "estimate.rotation")
     information = finite(estimate.information, (3, 3), "estimate.information", most=np.inf)
+    unseen = finite(estimate.unseen, ("k", 3), "estimate.unseen", most=np.inf)
+    if not isinstance(estimate.status, Status) or (np.isnan(R).any() and estimate.status.has_pose):
+        raise ValueError(f"estimate: a status {shown(estimate.status)} without a rotation is none of an estimator's")
     pose = camera_from_world_of(camera, rig)
     Q = pose.rotation.as_matrix()
     return RotationView(
         status=estimate.status,
         rotation=Q @ R @ Q.T,
         information=Q @ information @ Q.T,
-        unseen=estimate.unseen @ Q.T,
+        unseen=unseen @ Q.T,
         iterations=estimate.iterations,
         camera_from_world=pose,
     )
@@ -165,7 +176,7 @@ def view_of_pose(pose: FramePose, camera: Viewpoint, *, rig: Rig | None = None) 
     Raises:
         ValueError: as `view_of_motion`.
     """
-    kind_of(pose, FramePose, "pose")
+    _check_pose(kind_of(pose, FramePose, "pose"), "pose")
     camera_from_world = camera_from_world_of(camera, rig)
     return _pose_from(pose, camera_from_world, _turn(camera_from_world), RigidTransform.identity())
 
@@ -183,7 +194,8 @@ def trajectory_view(trajectory: Trajectory, camera: Viewpoint, *, rig: Rig | Non
     Raises:
         ValueError: as `view_of_motion`.
     """
-    kind_of(trajectory, Trajectory, "trajectory")
+    for k, pose in enumerate(kind_of(trajectory, Trajectory, "trajectory")):
+        _check_pose(pose, f"trajectory[{k}]")
     camera_from_world = camera_from_world_of(camera, rig)
     turn = _turn(camera_from_world)
     axes = RigidTransform.from_rotation(camera_from_world.rotation.inv())
@@ -208,6 +220,16 @@ def camera_from_world_of(camera: Viewpoint, rig: Rig | None = None) -> RigidTran
     if not isinstance(camera, RigidTransform):
         raise TypeError(f"camera must be a Camera, a RigidTransform or a camera's name, got {shown(camera)}")
     return single_pose(camera, "camera: camera_from_world")
+
+
+def _check_pose(pose: FramePose, name: str) -> None:
+    if pose.world_from_object is not None:
+        single_pose(pose.world_from_object, f"{name}: world_from_object")
+    covariance = real(pose.covariance, "(6, 6)", f"{name}: covariance")
+    if covariance.shape != (6, 6) or not np.isfinite(covariance[~np.eye(6, dtype=bool)]).all():
+        raise ValueError(f"{name}: covariance must be (6, 6), finite beside its diagonal; got shape {covariance.shape}")
+    if not (np.diag(covariance) >= 0).all():
+        raise ValueError(f"{name}: covariance has a variance that is negative or NaN")
 
 
 def _pose_from(pose: FramePose, camera_from_world: RigidTransform, turn: FloatArray, axes: RigidTransform) -> FramePose:

@@ -76,9 +76,9 @@ class Disturbances:
                 whole(camera, f"{name}: camera")
                 if name != "nonsense":
                     whole(value, f"{name}[{camera}]", most=MOST_ROUNDS)
-        begin, end, group = items(self.apart, "apart", 3, "parts")
+        begin, end, group = items(kind_of(self.apart, (tuple, list), "apart"), "apart", 3, "parts")
         whole(begin, "apart[0]"), whole(end, "apart[1]")
-        for camera in items(group, "apart[2]"):
+        for camera in items(kind_of(group, (frozenset, set, tuple, list), "apart[2]"), "apart[2]"):
             whole(camera, "apart[2]: camera")
         early = [c for c, back in self.returns.items() if not self.dies.get(c, back) < back]
         if early:
