@@ -76,7 +76,7 @@ def check_frames(frames: Any, cameras: Iterable[Camera]) -> None:
     number(frames.time, "frames: time", most=np.inf)
     known = list(cameras)
     for name, given in (("images", frames.images), ("masks", frames.masks)):
-        if len(given) != len(known):
+        if len(kind_of(given, (tuple, list), f"frames: {name}")) != len(known):
             raise ValueError(
                 f"frames: {len(given)} {name} for {len(known)} cameras; give one for each, in the rig's order"
             )
