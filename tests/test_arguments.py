@@ -20,8 +20,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import sylpose
 from sylpose import results, rig, simulate, view
+from sylpose.adjustment.calibration import Moved, usual_doubt
 from sylpose.paper import bad_cameras, displacement, one_camera
 from sylpose.results import FramePose, FrameStatus, RotationEstimate, Status
+from sylpose.smoothing.trajectory import Track, smooth
 from tests.mutations import copied, mutations, same
 
 # By function, the most changes of each argument that are tried: what takes long is tried less often, by a seed.
@@ -35,6 +37,7 @@ MORE: tuple[Any, ...] = (
     one_camera.solve_unconstrained,
     results.pan_tilt_roll,
     rig.camera_at,
+    smooth,
     rig.nearest_point_to_rays,
     view.camera_from_world_of,
     *(getattr(simulate, name) for name in simulate.__all__ if inspect.isfunction(getattr(simulate, name))),
@@ -291,6 +294,17 @@ def calls() -> dict[str, Call]:
                 "seed": 0,
             },
             20,
+        ),
+        "smooth": Call(
+            smooth,
+            {
+                "frames": [Track(pose, (), np.zeros(3), 0.1)],
+                "rig": three,
+                "offsets_sd": 0.01,
+                "doubt": usual_doubt(three),
+                "recalibrate": False,
+                "moved": [Moved(0, 3, 0.1)],
+            },
         ),
         "ring": Call(simulate.ring, {"n": 3, **wide, "height": 0.1}, said="camera"),
         "arc": Call(
