@@ -35,6 +35,7 @@ T = TypeVar("T")
 
 # No coordinate is larger: its fourth power, and sums of a great many, are in range (choice).
 MOST = 1e30
+_INFINITY = float("inf")
 # Characters of a value in a sentence (choice).
 SAID = 60
 
@@ -221,8 +222,8 @@ def real(values: ArrayLike, wanted: str, name: str) -> FloatArray:
 
 def _in_range(array: FloatArray, name: str, most: float) -> None:
     """In one pass over the numbers: NaN is at most nothing."""
-    largest = np.abs(array).max(initial=0.0)
-    if not largest <= min(most, np.finfo(float).max):
-        if np.isfinite(largest):
+    largest = float(np.maximum.reduce(np.abs(array), axis=None, initial=0.0))
+    if not largest <= most or largest == _INFINITY:
+        if largest < _INFINITY:
             raise ValueError(f"{name} has values beyond {most:g}: {largest:g}")
         raise ValueError(f"{name} has values that are not finite")
