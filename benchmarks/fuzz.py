@@ -1,12 +1,15 @@
-"""Every reader of files against damaged and hostile ones: a result or one sentence, at once and in little memory.
+"""Every reader of files, and of what nodes say to each other, against damaged and hostile ones: a result or one sentence,
+at once and in little memory.
 
     python benchmarks/fuzz.py [--cases N] [--seed S] [--only KIND ...]
 
-Files of every kind that is read (calibrations, settings, tables, images) are changed at random, seeded: bytes, lines and
-numbers replaced, cut, repeated, nested, joined with those of another file. Each is read. Allowed is a result, or an error
-that is a `ValueError` or `OSError` of one printable line with the file's name in it, of at most `SENTENCE` characters, in
-less than `SECONDS` and `MEGABYTES`. Batches run in processes of their own, so that one that ends by a signal is seen: its
-case is counted as a crash, and the rest of the batch goes on. Prints a line for each kind, and cases that are not allowed.
+Files of every kind that is read (calibrations, settings, tables, images; tracks and checkpoints, with checksums that fit,
+so that what is behind them is reached) and messages of nodes are changed at random, seeded: bytes, lines and numbers
+replaced, cut, repeated, nested, joined with those of another file. Each is read. Allowed is a result, or an error that is a
+`ValueError` or `OSError` of one printable line with the file's name in it (messages have none), of at most `SENTENCE`
+characters, in less than `SECONDS` and `MEGABYTES`. Batches run in processes of their own, so that one that ends by a signal
+is seen: its case is counted as a crash, and the rest of the batch goes on. Prints a line for each kind, and cases that are
+not allowed.
 """
 
 from __future__ import annotations
@@ -17,10 +20,12 @@ import subprocess
 import sys
 import tempfile
 import time
+import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache, partial
+from hashlib import blake2b
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,18 +33,48 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose import calibration
+from sylpose import __version__, calibration
+from sylpose.app.checkpoint import CHECKPOINT, FORMAT, load_checkpoint
+from sylpose.app.encoding import encoded
+from sylpose.app.state import FUNCTIONS, KINDS, OutputState, RunState
+from sylpose.app.tracks import _FRAME, TrackFile
 from sylpose.archive.recordings import Options, find_recordings
 from sylpose.capture.boxes import load_boxes
 from sylpose.capture.images import image_size, read_image
 from sylpose.capture.live import open_live
 from sylpose.capture.timeline import load_timestamps
+from sylpose.frames import Box, FrameSet
+from sylpose.landmarks.alignment import Sights
+from sylpose.landmarks.told import Judges, Says
+from sylpose.moments import PairMoments
+from sylpose.network.codec import packed, unpacked
+from sylpose.network.roll import Roll
+from sylpose.network.sound import objection
+from sylpose.network.words import (
+    GIVES_UP,
+    TELLS,
+    Hello,
+    Welcome,
+    message,
+    passed_on,
+    read_hello,
+    read_welcome,
+    read_word,
+    said_hello,
+    welcomed,
+)
+from sylpose.paper.distributed.messages import Message, decode, encode
+from sylpose.paper.distributed.verdict import plausible
 from sylpose.reading import SAID
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
 from sylpose.results import FramePose, FrameStatus
 from sylpose.rig import Rig
 from sylpose.simulate import ring
+from sylpose.smoothing.trajectory import Track
 from sylpose.sync.offsets import load_offsets
+from sylpose.tracking.records import Following, Known, Moved, Recognised, Seen
+from sylpose.tracking.tracker import Tracker
+from sylpose.two_frames.terms import TermData
 
 ALLOWED = ("result", "sentence")
 SECONDS, MEGABYTES = 0.2, 100.0
@@ -113,11 +148,14 @@ TOKENS = (
 
 
 class Kind(NamedTuple):
-    """A kind of file: its name on the disk, whole ones of it, and what reads it."""
+    """A kind of file: its name on the disk, whole ones of it, what reads it; whether it is text, and whether what is said of
+    it names it."""
 
     name: str
     whole: tuple[bytes, ...]
     read: Callable[[Path], object]
+    text: bool = True
+    named: bool = True
 
 
 @cache
@@ -150,7 +188,20 @@ def kinds() -> dict[str, Kind]:
     pictures = [rng.integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8), np.zeros((SIZE[1], SIZE[0], 3), np.uint8)]
     for suffix in IMAGES:
         whole = tuple(bytes(cv2.imencode(suffix, picture)[1]) for picture in pictures)
-        found[suffix[1:]] = Kind(f"0000{suffix}", whole, _image)
+        found[suffix[1:]] = Kind(f"0000{suffix}", whole, _image, text=False)
+    track, state = _tracked()
+    found["tracks.bin"] = Kind("content.bin", (_content(track, {}),), _tracks, text=False)
+    found["checkpoint"] = Kind("content.bin", (_content(state, FUNCTIONS),), _checkpoint, text=False)
+    told = [packed(one) for one in TOLD]
+    number = Hello(2, 7), Welcome(5, 9, frozenset({0, 1}), told[0])
+    words = [message(TELLS, 1, 5, 9, told[0]), welcomed(1, number[1]), said_hello(1, 9, number[0])]
+    words.append(passed_on(GIVES_UP, 1, 5, 9, frozenset({2}), frozenset({0}), {0: told[1], 2: told[2]}))
+    x = np.random.default_rng(0).uniform(-0.2, 0.2, (2, 30, 2))
+    values = np.frombuffer(PairMoments.from_matches(*x).to_bytes(), "<f8")
+    found["message"] = Kind("message", tuple(told), _message, text=False, named=False)
+    found["word"] = Kind("word", tuple(words), _word, text=False, named=False)
+    plain = (encode(1, Message(3, True, False, values)),)
+    found["moments"] = Kind("moments", plain, _moments, text=False, named=False)
     return found
 
 
@@ -159,10 +210,10 @@ def case(kind: str, seed: int) -> bytes:
     rng = np.random.default_rng([seed, *kind.encode()])
     whole = kinds()[kind].whole
     data = whole[rng.integers(len(whole))]
-    text = f"0000.{kind}" != kinds()[kind].name
+    text = kinds()[kind].text
     for _ in range(1 + rng.poisson(1.5)):
         data = _changed_text(rng, data, whole) if text and rng.random() < 0.8 else _changed_bytes(rng, data, whole)
-        data = data[: LARGEST_TABLE if kind in TABLES else LARGEST]
+        data = data[: LARGEST_TABLE if kind in TABLES else max(LARGEST, 2 * len(whole[0]))]
     return data
 
 
@@ -185,7 +236,9 @@ def verdict(kind: Kind, file: Path) -> Verdict:
         if type(error).__name__ == "LinAlgError" or "numpy" in said:
             word = "not a sentence"
         elif isinstance(error, ValueError) or not error.filename:
-            if file.name not in said and str(file.parent) not in said:  # or what is wrong with the folder that it names
+            if (
+                kind.named and file.name not in said and str(file.parent) not in said
+            ):  # or what is wrong with the folder that it names
                 word = "without the file's name"
             elif not said.isprintable() or len(said) > SENTENCE + len(str(file)):
                 word = "no line"
@@ -361,6 +414,70 @@ def _manifest(file: Path) -> object:
     return find_recordings([str(file)], Options())
 
 
+def _content(value: object, functions: Mapping[str, Callable[..., object]]) -> bytes:
+    """As in a file of tracks or a checkpoint, after the length of its table."""
+    table, *blocks = encoded(value, KINDS, functions)
+    return len(table).to_bytes(8, "little") + b"".join([table, *blocks])
+
+
+def _tracked() -> tuple[Track, RunState]:
+    """Of two small images that differ."""
+    rig, rng = ring(2, size=(96, 72), focal=90.0), np.random.default_rng(0)
+    textures = [cv2.resize(rng.integers(0, 255, (18, 24, 3), np.uint8), (96, 72)) for _ in rig]
+    with Tracker(rig, {name: Box(8, 8, 80, 56) for name in rig.names}, workers=1) as tracker:
+        decided = []
+        for k in range(2):
+            images = tuple(np.roll(texture, 2 * k, axis=1).astype(np.uint8) for texture in textures)
+            decided += tracker.step(FrameSet(k, k / 30, (None, None), images, (None, None)))
+        state = RunState(2, {"": tracker.remembered()}, {"": OutputState()})
+    return Track.of(decided[0]), state
+
+
+def _tracks(file: Path) -> object:
+    """With a checksum that fits."""
+    data = file.read_bytes()
+    content = data[8:]
+    tracks = file.parent / "tracks.bin"
+    tracks.write_bytes(_FRAME.pack(int.from_bytes(data[:8], "little"), len(content), zlib.crc32(content)) + content)
+    found = TrackFile(tracks, tracks.stat().st_size)
+    try:
+        return list(found.read())
+    finally:
+        found.close()
+
+
+def _checkpoint(file: Path) -> object:
+    """The same."""
+    header = {"version": __version__, "options": {}, "session": {}}
+    data = FORMAT + json.dumps(header).encode() + b"\n" + file.read_bytes()
+    checkpoint = file.parent / CHECKPOINT
+    checkpoint.write_bytes(data + blake2b(data).digest())
+    return load_checkpoint(checkpoint, {}, {})
+
+
+def _message(file: Path) -> object:
+    """Of any kind that is expected, and what is said of what it means."""
+    data, refused = file.read_bytes(), None
+    for nothing in TOLD:
+        try:
+            told = unpacked(data, nothing)
+            if why := objection(told, 1):
+                raise ValueError(why)
+            return told
+        except ValueError as error:
+            refused = error
+    raise refused or ValueError("none")
+
+
+def _word(file: Path) -> object:
+    data = file.read_bytes()
+    return read_hello(1, data) or read_welcome(0, 3, 1, data) or read_word(1, data, 5)
+
+
+def _moments(file: Path) -> object:
+    return plausible(decode(file.read_bytes(), 1, (45,)).values, True)
+
+
 CAMERA = b"""size = [64, 48]
 matrix = [[1000.0, 0.0, 20.0], [0.0, 1000.0, 15.0], [0.0, 0.0, 1.0]]
 distortions = [0.0, 0.0, 0.0, 0.0, 0.0]
@@ -399,6 +516,19 @@ MANIFEST = (
 )
 LISTED = b"path,name,every,smooth\n.,one,2,\nnone,two,,true\n"
 STAMPS = b"frame,cam_0,cam_1,cam_2\n" + b"".join(b"%d,%.3f,%.3f,\n" % (k, k / 30, k / 30 + 0.001) for k in range(9))
+# What a camera may tell of itself.
+SIGHTS = Sights(
+    np.ones((5, 3)), np.ones((5, 3)), np.ones((5, 2)), np.arange(5), np.ones(5), np.eye(3), np.zeros(3), 700.0
+)
+TOLD: tuple[object, ...] = (
+    Says(np.concatenate([np.eye(6)[np.triu_indices(6)], np.zeros(6)]), 3.5, np.nan),
+    Following(12, 30, True, False),
+    Moved(TermData(1, np.ones((7, 2)), np.ones((7, 2)), np.eye(3), np.zeros(3), 812.5), np.ones(7), 0.25, 9),
+    Known(SIGHTS, np.ones(5)),
+    Recognised(np.ones((6, 3)), np.ones((6, 2))),
+    Seen(np.arange(4), np.arange(4), np.ones((4, 2)), np.arange(2), np.ones((2, 3))),
+    (Judges(1.5, 2.5, 17, 20, 12.5), Roll(12, 0.5, (1, 2), False, True)),
+)
 
 
 if __name__ == "__main__":

@@ -133,15 +133,15 @@ def test_bad_matches() -> None:
         PairMoments.from_matches(x, y[:3])
     with pytest.raises(ValueError, match=r"y must be \(n, 2\) or \(n, 3\)"):
         PairMoments.from_matches(x, y.ravel())
-    with pytest.raises(ValueError, match="x has points that are not finite"):
+    with pytest.raises(ValueError, match="x has values that are not finite"):
         PairMoments.from_matches(x * np.nan, y)
     for bad in (w[:3], -w, w * np.inf):
-        with pytest.raises(ValueError, match="weights must be 4 finite, non-negative numbers"):
+        with pytest.raises(ValueError, match=r"weights (must be|has values that are not finite)"):
             PairMoments.from_matches(x, y, bad)
 
 
 def test_bad_matrix() -> None:
-    with pytest.raises(ValueError, match="9x9"):
+    with pytest.raises(ValueError, match=r"must be \(9, 9\)"):
         PairMoments(np.eye(8))
     with pytest.raises(ValueError, match="finite"):
         PairMoments(np.full((9, 9), np.nan))

@@ -258,7 +258,7 @@ def test_bad_rotations_are_refused() -> None:
     world = RigidTransform.identity()
     with pytest.raises(ValueError, match="not a rotation matrix"):
         view_of_rotation(estimate_of(2 * np.eye(3), np.eye(3)), world)
-    with pytest.raises(ValueError, match=r"information must be \(3, 3\) and finite"):
+    with pytest.raises(ValueError, match="information has values that are not finite"):
         view_of_rotation(estimate_of(np.eye(3), np.full((3, 3), np.nan)), world)
 
 
@@ -352,7 +352,7 @@ def test_cameras_are_found_by_name() -> None:
 
 def test_who_cannot_be_looked_up_is_named() -> None:
     pose = pose_with(np.random.default_rng(9), 0)
-    with pytest.raises(ValueError, match=r"no camera 'cam_7' in the rig \(cam_0, cam_1\)"):
+    with pytest.raises(ValueError, match=r"camera: no 'cam_7' in the rig \(cam_0, cam_1\)"):
         view_of_pose(pose, "cam_7", rig=ring(2))
     with pytest.raises(ValueError, match="'cam_0' is given by its name"):
         view_of_pose(pose, "cam_0")

@@ -8,10 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.checked import finite_rows
+from sylpose.numerics.checked import finite_rows, kind_of
 from sylpose.rig import Camera
 
 __all__ = ["STILL_PX", "Matches"]
+
+# No point is farther from the middle of an image: 1e6 times what a lens can see (choice).
+MOST_POINT = 1e9
 
 # A feature displaced by less than this, in pixels, stands still for all that two keypoints can tell.
 STILL_PX = 1.5
@@ -34,7 +37,10 @@ class Matches:
 
     def __post_init__(self) -> None:
         # Row by row in memory, as the compiled solvers want it.
-        x, y = (np.array(finite_rows(part, 2, f"matches: {name}")) for name, part in (("x", self.x), ("y", self.y)))
+        x, y = (
+            np.array(finite_rows(part, 2, f"matches: {name}", most=MOST_POINT))
+            for name, part in (("x", self.x), ("y", self.y))
+        )
         if x.shape != y.shape:
             raise ValueError(f"matches need as many points in frame i as in j, got {len(x)} and {len(y)}")
         object.__setattr__(self, "x", x)
@@ -52,6 +58,7 @@ class Matches:
         Raises:
             ValueError: naming the argument: another shape, no real numbers, values that are not finite; not as many in both.
         """
+        camera = kind_of(camera, Camera, "camera")
         i, j = finite_rows(pixels_i, 2, "pixels_i"), finite_rows(pixels_j, 2, "pixels_j")
         return cls(camera.normalize(i), camera.normalize(j))
 

@@ -141,8 +141,9 @@ def features_of(method: str, features: str) -> str:
         ValueError: an unknown method, unknown features, or features that the method cannot use.
     """
     for name, choice, choices in (("method", method, METHODS), ("features", features, FEATURES)):
-        if choice not in choices:
-            raise ValueError(f"{name}: {choice!r} is not one of {', '.join(choices)}")
+        if not isinstance(choice, str) or choice not in choices:
+            said = ascii(choice)[:60] if isinstance(choice, str) else f"an object of type {type(choice).__name__}"
+            raise ValueError(f"{name}: {said} is not one of {', '.join(choices)}")
     usable = TABLE[METHODS.index(method)].features
     if features == FEATURES[0]:
         return usable[0]

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.checked import kind_of, listed
 from sylpose.numerics.matrices import covariance_of
 
 __all__ = [
@@ -215,7 +216,7 @@ class RotationEstimate:
 
 def pan_tilt_roll(rotation: Rotation) -> FloatArray:
     """(3,) radians, R = R_y(pan) R_x(tilt) R_z(roll) (docs/conventions.md)."""
-    return np.asarray(rotation.as_euler("YXZ", suppress_warnings=True))
+    return np.asarray(kind_of(rotation, Rotation, "rotation").as_euler("YXZ", suppress_warnings=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,9 +303,9 @@ class Trajectory:
     unit: str = ""
 
     def __init__(self, frames: Sequence[FramePose], camera_names: Sequence[str], unit: str = "") -> None:
-        object.__setattr__(self, "frames", tuple(frames))
-        object.__setattr__(self, "camera_names", tuple(camera_names))
-        object.__setattr__(self, "unit", unit)
+        object.__setattr__(self, "frames", tuple(listed(frames, FramePose, "frames")))
+        object.__setattr__(self, "camera_names", tuple(listed(camera_names, str, "camera_names")))
+        object.__setattr__(self, "unit", kind_of(unit, str, "unit"))
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.checked import rows
+from sylpose.numerics.checked import finite, finite_rows, items, kind_of, listed, number, real, rows, shown, whole
 from sylpose.numerics.lens import TERMS, projected
 from sylpose.reading import one_line
 
@@ -82,14 +82,14 @@ class Camera:
             )
         size = _numbers(self, "size", self.size)
         if size.shape != (2,) or (size < 1).any() or (size != size.round()).any():
-            raise ValueError(f"camera {self.name}: the size must be (width, height) in pixels, got {self.size}")
+            raise ValueError(f"camera {self.name}: the size must be (width, height) in pixels, got {shown(self.size)}")
         if size.max() > MAX_SIDE or size.prod() > MAX_PIXELS:
             raise ValueError(
                 f"camera {self.name}: the size {size[0]:g} x {size[1]:g} is more than {MAX_SIDE} pixels a side or "
                 f"{MAX_PIXELS} in all"
             )
-        if self.lens not in ("opencv", "fisheye"):
-            raise ValueError(f"camera {self.name}: lens must be 'opencv' or 'fisheye', got {self.lens!r}")
+        if not isinstance(self.lens, str) or self.lens not in ("opencv", "fisheye"):
+            raise ValueError(f"camera {self.name}: lens must be 'opencv' or 'fisheye', got {shown(self.lens)}")
         allowed = OPENCV_TERMS if self.lens == "opencv" else (4,)
         if distortion.size == 0:
             distortion = np.zeros(5 if self.lens == "opencv" else 4)
@@ -99,8 +99,8 @@ class Camera:
             )
         if np.abs(distortion).max() > MAX_TERM:
             raise ValueError(f"camera {self.name}: a distortion term beyond {MAX_TERM:g} is that of no lens")
-        if self.error_px is not None and not (np.isfinite(self.error_px) and self.error_px >= 0):
-            raise ValueError(f"camera {self.name}: error_px must be a number of pixels, got {self.error_px}")
+        if self.error_px is not None:
+            number(self.error_px, f"camera {self.name}: error_px", least=0.0)
         if not isinstance(self.camera_from_world, RigidTransform) or not self.camera_from_world.single:
             raise ValueError(f"camera {self.name}: camera_from_world must be a single transform")
         if not np.abs(self.camera_from_world.as_matrix()).max() <= MAX_LENGTH:  # nor not a number
@@ -217,13 +217,14 @@ class Rig:
     _index: dict[str, int] = field(init=False, repr=False)
 
     def __init__(self, cameras: Sequence[Camera], unit: str = "") -> None:
+        cameras = listed(cameras, Camera, "cameras")
         object.__setattr__(self, "cameras", tuple(cameras))
-        object.__setattr__(self, "unit", unit)
+        object.__setattr__(self, "unit", kind_of(unit, str, "unit"))
         object.__setattr__(self, "_index", {camera.name: i for i, camera in enumerate(cameras)})
         if not cameras:
-            raise ValueError("a rig needs at least one camera")
+            raise ValueError("cameras: a rig needs at least one camera")
         if len(self._index) != len(self.cameras):
-            raise ValueError(f"two cameras of the same name in {', '.join(c.name for c in cameras)}")
+            raise ValueError(f"cameras: two cameras of the same name in {', '.join(c.name for c in cameras)}")
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -233,7 +234,7 @@ class Rig:
 
     def __getitem__(self, name: str) -> Camera:
         if name not in self._index:
-            raise KeyError(f"no camera {name!r} in the rig ({', '.join(self.names)})")
+            raise KeyError(f"no camera {shown(name)} in the rig ({one_line(', '.join(self.names), 200)})")
         return self.cameras[self._index[name]]
 
     @property
@@ -242,7 +243,14 @@ class Rig:
         return tuple(camera.name for camera in self.cameras)
 
     def subset(self, names: Sequence[str]) -> Rig:
-        """The rig of the named cameras, in the order given."""
+        """The rig of the named cameras, in the order given.
+
+        Raises:
+            KeyError: a name that the rig does not have.
+            TypeError, ValueError: no names, or one twice.
+        """
+        if not (names := listed(names, str, "names")) or len(set(names)) < len(names):
+            raise ValueError(f"names: at least one is expected, and none twice; got {len(names)}")
         return Rig([self[name] for name in names], self.unit)
 
 
@@ -254,12 +262,20 @@ def check_name(name: str) -> None:
             text: control characters, marks that turn the direction of writing, halves of characters.
     """
     if not isinstance(name, str) or name.strip() in ("", ".", "..") or len(name) > MAX_NAME:
-        raise ValueError(f"a camera's name must be a word of at most {MAX_NAME} characters, got {one_line(repr(name))}")
+        raise ValueError(f"a camera's name must be a word of at most {MAX_NAME} characters, got {shown(name)}")
     wrong = sorted({c for c in name if c in "/\\" or one_line(f"a{c}b") != f"a{c}b"})
     if wrong:
         raise ValueError(
             f"camera {one_line(name)}: its name has {', '.join(map(ascii, wrong))}, which no file's name can"
         )
+
+
+def single_pose(pose: Any, name: str) -> RigidTransform:
+    """Raises TypeError, ValueError: naming the argument, that this is no single transform of finite values."""
+    pose = kind_of(pose, RigidTransform, name)
+    if not pose.single or not np.abs(pose.as_matrix()).max() <= MAX_LENGTH:
+        raise ValueError(f"{name} must be a single transform of finite values, of lengths of at most {MAX_LENGTH:g}")
+    return pose
 
 
 def _numbers(camera: Camera, what: str, values: ArrayLike) -> FloatArray:
@@ -291,13 +307,16 @@ def nearest_point_to_rays(centers: ArrayLike, directions: ArrayLike, near: Array
     Returns:
         (3,) the point.
     """
-    centers, directions = np.asarray(centers, float), np.asarray(directions, float)
+    centers = finite_rows(centers, 3, "centers", most=MAX_LENGTH)
+    directions = finite(directions, (len(centers), 3), "directions")
+    if len(centers) == 0 or np.abs(np.linalg.norm(directions, axis=1) - 1.0).max() > 1e-6:
+        raise ValueError("directions must be unit vectors, at least one")
     if near is None:
         near = centers.mean(axis=0)
         mean = directions.mean(axis=0)
         if np.linalg.norm(mean) > 0.5:
             near = near + mean / np.linalg.norm(mean)
-    near = np.asarray(near, float)
+    near = finite(near, (3,), "near", most=MAX_LENGTH)
     projectors = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     offsets = np.einsum("nij,nj->i", projectors, centers - near)
     # Eigenvalues of the sum go down to about (angle / 2)^2 of the largest: 1e-3 cuts at 3 degrees between two lines.
@@ -318,8 +337,11 @@ def camera_at(
     Raises:
         ValueError: a centre that is the target, or anything that `Camera` refuses.
     """
-    center = np.asarray(center, dtype=float)
-    forward = np.asarray(target, dtype=float) - center
+    check_name(name)
+    center = finite(center, (3,), "center", most=MAX_LENGTH)
+    forward = finite(target, (3,), "target", most=MAX_LENGTH) - center
+    number(focal, "focal", above=0.0)
+    width, height = (whole(side, "size", least=1, most=MAX_SIDE) for side in items(size, "size", 2, "sides"))
     if not np.linalg.norm(forward) > 0:
         raise ValueError(f"camera {name}: it stands at the point that it looks at")
     forward = forward / np.linalg.norm(forward)
@@ -328,6 +350,6 @@ def camera_at(
         right = np.array([1.0, 0.0, 0.0])
     right = right / np.linalg.norm(right)
     rotation = Rotation.from_matrix(np.stack([right, np.cross(forward, right), forward]))
-    matrix = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+    matrix = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
     pose = RigidTransform.from_components(-rotation.apply(center), rotation)
-    return Camera(name, size, matrix, np.asarray(distortion, dtype=float), pose)
+    return Camera(name, (width, height), matrix, real(distortion, "(k,)", "distortion"), pose)

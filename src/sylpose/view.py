@@ -20,9 +20,11 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.matrices import checked_rotations, covariance_of
+from sylpose.numerics.checked import finite, kind_of, real, shown
+from sylpose.numerics.matrices import checked_rotation, covariance_of
+from sylpose.reading import one_line
 from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory, pan_tilt_roll
-from sylpose.rig import Camera, Rig
+from sylpose.rig import Camera, Rig, single_pose
 
 __all__ = [
     "MotionView",
@@ -106,6 +108,16 @@ def view_of_motion(motion: Motion, camera: Viewpoint, *, rig: Rig | None = None)
     Raises:
         ValueError: a name without a rig or that the rig does not have; a transform that is no single finite one.
     """
+    kind_of(motion, Motion, "motion")
+    finite(motion.information, (6, 6), "motion.information", most=np.inf)
+    center = real(motion.center, "(3,)", "motion.center")  # NaN without matches
+    unseen = finite(motion.unseen, ("k", 6), "motion.unseen", most=np.inf)
+    if center.shape != (3,) or (motion.motion is not None and not np.isfinite(center).all()):
+        raise ValueError(f"motion.center must be (3,), finite where there is a motion; got shape {center.shape}")
+    if motion.motion is not None:
+        single_pose(motion.motion, "motion.motion")
+    if not isinstance(motion.status, Status) or (motion.motion is None and motion.status.has_pose):
+        raise ValueError(f"motion: a status {shown(motion.status)} without a motion is none of an estimator's")
     pose = camera_from_world_of(camera, rig)
     turn = _turn(pose)
     information = turn @ motion.information @ turn.T
@@ -113,10 +125,10 @@ def view_of_motion(motion: Motion, camera: Viewpoint, *, rig: Rig | None = None)
         status=motion.status,
         camera_from_world=pose,
         motion=None if motion.motion is None else pose * motion.motion * pose.inv(),
-        center=np.asarray(pose.apply(motion.center)),
+        center=np.asarray(pose.apply(center)),
         information=information,
         covariance=covariance_of(information),
-        unseen=motion.unseen @ turn.T,
+        unseen=unseen @ turn.T,
     )
 
 
@@ -131,18 +143,21 @@ def view_of_rotation(estimate: RotationEstimate, camera: Viewpoint, *, rig: Rig 
         ValueError: as `view_of_motion`; a matrix that is neither a rotation nor NaN, an information that is not (3, 3)
             and finite.
     """
-    R, information = (np.asarray(a, dtype=float) for a in (estimate.rotation, estimate.information))
+    kind_of(estimate, RotationEstimate, "estimate")
+    R = real(estimate.rotation, "(3, 3)", "estimate.rotation")
     if R.shape != (3, 3) or not np.isnan(R).all():
-        checked_rotations(R[None], 1)
-    if information.shape != (3, 3) or not np.isfinite(information).all():
-        raise ValueError(f"information must be (3, 3) and finite, got shape {information.shape}")
+        R = checked_rotation(R, "estimate.rotation")
+    information = finite(estimate.information, (3, 3), "estimate.information", most=np.inf)
+    unseen = finite(estimate.unseen, ("k", 3), "estimate.unseen", most=np.inf)
+    if not isinstance(estimate.status, Status) or (np.isnan(R).any() and estimate.status.has_pose):
+        raise ValueError(f"estimate: a status {shown(estimate.status)} without a rotation is none of an estimator's")
     pose = camera_from_world_of(camera, rig)
     Q = pose.rotation.as_matrix()
     return RotationView(
         status=estimate.status,
         rotation=Q @ R @ Q.T,
         information=Q @ information @ Q.T,
-        unseen=estimate.unseen @ Q.T,
+        unseen=unseen @ Q.T,
         iterations=estimate.iterations,
         camera_from_world=pose,
     )
@@ -161,6 +176,7 @@ def view_of_pose(pose: FramePose, camera: Viewpoint, *, rig: Rig | None = None) 
     Raises:
         ValueError: as `view_of_motion`.
     """
+    _check_pose(kind_of(pose, FramePose, "pose"), "pose")
     camera_from_world = camera_from_world_of(camera, rig)
     return _pose_from(pose, camera_from_world, _turn(camera_from_world), RigidTransform.identity())
 
@@ -178,6 +194,8 @@ def trajectory_view(trajectory: Trajectory, camera: Viewpoint, *, rig: Rig | Non
     Raises:
         ValueError: as `view_of_motion`.
     """
+    for k, pose in enumerate(kind_of(trajectory, Trajectory, "trajectory")):
+        _check_pose(pose, f"trajectory[{k}]")
     camera_from_world = camera_from_world_of(camera, rig)
     turn = _turn(camera_from_world)
     axes = RigidTransform.from_rotation(camera_from_world.rotation.inv())
@@ -195,13 +213,23 @@ def camera_from_world_of(camera: Viewpoint, rig: Rig | None = None) -> RigidTran
         return camera.camera_from_world
     if isinstance(camera, str):
         if rig is None:
-            raise ValueError(f"camera {camera!r} is given by its name, which takes a rig to look it up in")
-        if camera not in rig.names:
-            raise ValueError(f"no camera {camera!r} in the rig ({', '.join(rig.names)})")
+            raise ValueError(f"camera {shown(camera)} is given by its name, which takes a rig to look it up in")
+        if camera not in kind_of(rig, Rig, "rig").names:
+            raise ValueError(f"camera: no {shown(camera)} in the rig ({one_line(', '.join(rig.names), 200)})")
         return rig[camera].camera_from_world
-    if not camera.single or not np.isfinite(camera.as_matrix()).all():
-        raise ValueError("camera: camera_from_world must be a single transform of finite values")
-    return camera
+    if not isinstance(camera, RigidTransform):
+        raise TypeError(f"camera must be a Camera, a RigidTransform or a camera's name, got {shown(camera)}")
+    return single_pose(camera, "camera: camera_from_world")
+
+
+def _check_pose(pose: FramePose, name: str) -> None:
+    if pose.world_from_object is not None:
+        single_pose(pose.world_from_object, f"{name}: world_from_object")
+    covariance = real(pose.covariance, "(6, 6)", f"{name}: covariance")
+    if covariance.shape != (6, 6) or not np.isfinite(covariance[~np.eye(6, dtype=bool)]).all():
+        raise ValueError(f"{name}: covariance must be (6, 6), finite beside its diagonal; got shape {covariance.shape}")
+    if not (np.diag(covariance) >= 0).all():
+        raise ValueError(f"{name}: covariance has a variance that is negative or NaN")
 
 
 def _pose_from(pose: FramePose, camera_from_world: RigidTransform, turn: FloatArray, axes: RigidTransform) -> FramePose:

@@ -209,7 +209,7 @@ def test_two_runs_in_one_folder(opened: Session, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--seed", "-1"], "seed must not be negative, got -1"),
+        (["--seed", "-1"], "seed: -1 is not a whole number"),
         (["--every", "0"], "every must be at least 1"),
         (["--start", "-1"], "start must be in 0 ... 11"),
         (["--stop", "0"], "stop must be greater than start"),

@@ -400,8 +400,8 @@ def camera_named(name: str) -> Camera:
 @pytest.mark.parametrize(
     ("points", "pixels", "message"),
     [
-        ([np.zeros((4, 3))], [np.zeros((4, 2))] * 2, "points: 1 arrays for 2 cameras"),
-        ([np.zeros((4, 3))] * 2, [np.zeros((4, 2))], "pixels: 1 arrays for 2 cameras"),
+        ([np.zeros((4, 3))], [np.zeros((4, 2))] * 2, "points: 1 for 2 cameras"),
+        ([np.zeros((4, 3))] * 2, [np.zeros((4, 2))], "pixels: 1 for 2 cameras"),
         ([np.zeros((4, 3)), np.zeros((4, 2))], [np.zeros((4, 2))] * 2, r"camera right: points must be \(n, 3\)"),
         ([np.zeros((4, 3))] * 2, [np.zeros((4, 2)), np.zeros((5, 2))], "camera right: 4 points but 5 pixels"),
         ([np.zeros((4, 3))] * 2, [np.zeros((4, 2)), np.full((4, 2), np.nan)], "camera right: pixels .* not finite"),

@@ -352,7 +352,7 @@ def test_bad_equations_are_refused() -> None:
     with pytest.raises(ValueError, match='method must be "kronecker" or "bartels-stewart", got \'lu\''):
         solve_sylvester(eye, eye, eye, method="lu")  # type: ignore[arg-type]
     for rcond in (0.0, 1.0, -1e-9, np.nan):
-        with pytest.raises(ValueError, match="rcond must be at least"):
+        with pytest.raises(ValueError, match="rcond"):
             solve_sylvester(eye, eye, eye, rcond=rcond)
     for k, name in enumerate("ABC"):
         a, b, c = (eye * (1j if k == i else 1) for i in range(3))

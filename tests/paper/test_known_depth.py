@@ -368,9 +368,9 @@ def test_weights_beyond_the_range_of_numbers_are_refused() -> None:
     x, y = np.random.default_rng(0).normal(size=(2, 12, 3))
     with pytest.raises(ValueError, match="there are no points"):
         solve_3d3d(x, y, np.full(12, 1e-310))
-    with pytest.raises(ValueError, match="weights must be at most"):
+    with pytest.raises(ValueError, match=r"weights has values beyond 1e\+100"):
         solve_3d3d(x, y, np.full(12, 1e300))
-    with pytest.raises(ValueError, match=r"weights\[0\] must be at most"):
+    with pytest.raises(ValueError, match=r"weights\[0\] has values beyond 1e\+100"):
         solve_2d3d(np.eye(3)[None], [x], [y[:, :2]], weights=[np.full(12, 1e300)])
 
 
@@ -477,8 +477,8 @@ def test_bad_input_is_refused() -> None:
     for bad, message in (
         ((x[:, :2], x), r"x must be \(n, 3\), got shape \(5, 2\)"),
         ((x, x[:4]), "x has 5 points and y has 4"),
-        ((x, x * np.nan), "y has points that are not finite"),
-        ((x, x, np.ones(4)), "weights must be 5 finite, non-negative"),
+        ((x, x * np.nan), "y has values that are not finite"),
+        ((x, x, np.ones(4)), r"weights must be \(5,\), got shape \(4,\)"),
         ((x, x, -np.ones(5)), "weights must be 5 finite, non-negative"),
         ((x, x, np.zeros(5)), "there are no points"),
         ((x[:0], x[:0]), "there are no points"),
@@ -490,7 +490,7 @@ def test_bad_input_is_refused() -> None:
         solve_2d3d(q, [x, x], [y, y])
     with pytest.raises(ValueError, match=r"rotations\[0\] is not a rotation"):
         solve_2d3d(2 * q, [x], [y])
-    with pytest.raises(ValueError, match="equally many cameras, here 1"):
+    with pytest.raises(ValueError, match="images: 2 for 1 cameras"):
         solve_2d3d(q, [x], [y, y])
     with pytest.raises(ValueError, match=r"centers must be \(1, 3\)"):
         solve_2d3d(q, [x], [y], centers=np.zeros(3))
@@ -498,7 +498,7 @@ def test_bad_input_is_refused() -> None:
         solve_2d3d(q, [x], [x])
     with pytest.raises(ValueError, match=r"points\[0\] has 5 points and images\[0\] has 4"):
         solve_2d3d(q, [x], [y[:4]])
-    with pytest.raises(ValueError, match=r"weights\[0\] must be 5"):
+    with pytest.raises(ValueError, match=r"weights\[0\] must be \(5,\)"):
         solve_2d3d(q, [x], [y], weights=[np.ones(3)])
     with pytest.raises(ValueError, match="no camera has points"):
         solve_2d3d(q, [x[:0]], [y[:0]])

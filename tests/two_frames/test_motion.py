@@ -203,7 +203,7 @@ def test_no_motion() -> None:
 def test_bad_input() -> None:
     rig = rig_of(3)
     good = [Matches.none()] * 3
-    with pytest.raises(ValueError, match="2 sets for 3 cameras"):
+    with pytest.raises(ValueError, match="matches: 2 for 3 cameras"):
         estimate_motion(rig, good[:2])
     with pytest.raises(ValueError, match="'magic' is not one of"):
         estimate_motion(rig, good, method="magic")

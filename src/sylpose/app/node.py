@@ -26,6 +26,8 @@ from sylpose.network.node import Node, track_by_node
 from sylpose.network.presence import Answer, Ask, Present
 from sylpose.network.runner import TICK, Runner
 from sylpose.network.wire import Links, Place, Wire, digest_of, watch_network
+from sylpose.network.words import MOST_CAMERAS
+from sylpose.reading import one_line
 from sylpose.report.files import TrajectoryWriter
 from sylpose.results import FramePose
 from sylpose.rig import Rig
@@ -318,10 +320,10 @@ def nodes_aloud(network: str, links: Links, seconds: float) -> bool:
     found: dict[tuple[str, str], tuple[dict[str, object], float]] = {}
 
     def on_state(rig: str, name: str, line: str) -> None:
-        with suppress(ValueError, TypeError, OverflowError, RecursionError):
+        with suppress(ValueError, TypeError, KeyError, OverflowError, RecursionError):
             state = json.loads(line)
             numbers = [float(state[key]) for key in ("clock", "frames", *(key for key, _ in _COLUMNS))]
-            if np.isfinite(numbers).all():
+            if np.isfinite(numbers).all() and len(found) < MOST_CAMERAS:
                 found[rig, name] = state, time.time() - numbers[0]
 
     session = watch_network(links, network, on_state, lambda *_: None)
@@ -334,9 +336,9 @@ def nodes_aloud(network: str, links: Links, seconds: float) -> bool:
         rows.append(
             [
                 name if len(rigs) == 1 else f"{name} ({rig[:8]})",
-                str(s.get("state", "")),
-                " ".join(map(str, members)) if isinstance(members, list) else "",
-                f"{s.get('frames', 0)}",
+                one_line(str(s.get("state", "")), SHOWN),
+                one_line(" ".join(map(str, members)), 4 * SHOWN) if isinstance(members, list) else "",
+                f"{float(str(s.get('frames', 0))):.0f}",
                 *(f"{float(str(s.get(key, 0.0))):{form}}" for key, form in _COLUMNS),
                 f"{1e3 * apart:.0f}" if abs(apart) < CLOCK_OFF else f"{apart:+.1f} s",
             ]
@@ -351,4 +353,6 @@ def nodes_aloud(network: str, links: Links, seconds: float) -> bool:
     return bool(rows)
 
 
+# Characters of a word of a stranger's that is shown (choice).
+SHOWN = 40
 _COLUMNS = (("rate", ".1f"), ("latency_ms", ".0f"), ("bytes_per_frame", ".0f"), ("rounds_per_frame", ".1f"))

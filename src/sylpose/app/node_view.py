@@ -14,7 +14,7 @@ from sylpose.app import text
 from sylpose.app.node import interrupted
 from sylpose.network.wire import Links, watch_network
 from sylpose.report.files import write_tum
-from sylpose.rig import Camera
+from sylpose.rig import MAX_LENGTH, Camera
 
 __all__ = ["view_node_aloud"]
 
@@ -63,6 +63,8 @@ def _pose_of(line: str) -> tuple[int, float, RigidTransform] | None:
         said = json.loads(line)
         quaternion, position = np.array(said["quaternion"], float), np.array(said["position"], float)
         if quaternion.shape != (4,) or position.shape != (3,):
+            return None
+        if not np.abs([*position, float(said["time"])]).max() <= MAX_LENGTH or not np.isfinite(quaternion).all():
             return None
         pose = RigidTransform.from_components(position, Rotation.from_quat(quaternion))
         return int(said["frame"]), float(said["time"]), pose

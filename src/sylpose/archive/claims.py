@@ -186,7 +186,7 @@ def _name(number: int) -> str:
 
 def _numbers(place: Place) -> list[int]:
     texts = [name.removeprefix(CLAIM).removesuffix(".json") for name in place.names() if name.startswith(CLAIM)]
-    return sorted(int(text) for text in texts if text.isdigit())
+    return sorted(int(text) for text in texts if text.isascii() and text.isdigit() and len(text) < 18)
 
 
 def _read(place: Place, number: int) -> Claim | None:

@@ -21,6 +21,7 @@ from sylpose.archive.contract import Summary
 from sylpose.archive.recordings import Recording
 from sylpose.archive.stores import is_url, place
 from sylpose.capture import open_session
+from sylpose.reading import one_line
 from sylpose.report.disagreement import remarks
 from sylpose.results import Trajectory
 from sylpose.simulate import demo_scene, write_sequence
@@ -113,6 +114,8 @@ def _fetched(url: str, target: Path) -> Path:
         place(folder).fetch(name, target.with_suffix(Path(name).suffix))
         return target.with_suffix(Path(name).suffix)
     for file in files:
+        if ".." in file.name.split("/") or file.name.startswith("/"):
+            raise ValueError(f"{url}: a file called {one_line(file.name)} cannot be one of a recording")
         if not file.name.startswith("sylpose/"):
             there = target / file.name
             if not there.exists() or there.stat().st_size != file.size:  # tried again after an I/O error

@@ -23,12 +23,13 @@ from sylpose.known_model.pose_kernels import (
 from sylpose.known_model.pose_noise import CUTOFF, Noise
 from sylpose.known_model.pose_views import agreeing, part_of, views_of
 from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.checked import finite_rows, items, kind_of, number, whole
 from sylpose.numerics.copies import distinct
 from sylpose.numerics.matrices import covariance_of
 from sylpose.numerics.robust import BIQUARTIC_BOUND
 from sylpose.numerics.unseen import UNSEEN_SHARE, UNSEEN_TURN, about_a_turn, unseen_directions
 from sylpose.results import Motion, Status
-from sylpose.rig import Camera, Rig
+from sylpose.rig import MAX_LENGTH, MAX_PX, Rig
 
 __all__ = ["estimate_pose"]
 
@@ -37,6 +38,8 @@ __all__ = ["estimate_pose"]
 MIN_MATCHES = 4
 # Samples: at least, at most, and the chance that none of them was free of outliers (choice).
 MIN_SAMPLES, MAX_SAMPLES, MISSED = 20, 3000, 1e-4
+# No noise is less, pixels (choice).
+LEAST_ERROR = 1e-9
 # Poses are searched with at most so many matches, evenly from the cameras (choice).
 SEARCHED = 500
 # Poses that are followed, the steps that improve each, and the rounds of re-weighting (choice).
@@ -104,15 +107,17 @@ def estimate_pose(
 
     Source: docs/method.md, "A known model".
     """
-    for name, given in (("points", points), ("pixels", pixels)):
-        if len(given) != len(rig):
-            raise ValueError(
-                f"{name}: {len(given)} arrays for {len(rig)} cameras; give one per camera, in the rig's order"
-            )
-    if not (np.isfinite(max_error_px) and max_error_px > 0):
-        raise ValueError(f"max_error_px: {max_error_px} is not a positive number of pixels")
-    models = [_checked(camera, "points", p, 3) for camera, p in zip(rig, points, strict=True)]
-    places = [_checked(camera, "pixels", u, 2) for camera, u in zip(rig, pixels, strict=True)]
+    n = len(kind_of(rig, Rig, "rig"))
+    points, pixels = items(points, "points", n), items(pixels, "pixels", n)
+    max_error_px = number(max_error_px, "max_error_px", above=0.0, least=LEAST_ERROR, most=MAX_PX)
+    seed = whole(seed, "seed")
+    models = [
+        finite_rows(p, 3, f"camera {camera.name}: points", most=MAX_LENGTH)
+        for camera, p in zip(rig, points, strict=True)
+    ]
+    places = [
+        finite_rows(u, 2, f"camera {camera.name}: pixels", most=MAX_PX) for camera, u in zip(rig, pixels, strict=True)
+    ]
     for camera, x, u in zip(rig, models, places, strict=True):
         if len(x) != len(u):
             raise ValueError(f"camera {camera.name}: {len(x)} points but {len(u)} pixels; give one pixel per point")
@@ -155,18 +160,6 @@ def estimate_pose(
         elif every and _by_luck(views, best):
             status = Status.NOT_CONSISTENT
     return _result(counts, status, center, best, origin, seen, unseen)
-
-
-def _checked(camera: Camera, name: str, values: ArrayLike, width: int) -> FloatArray:
-    """The values as an array (n, width) of finite numbers."""
-    array = np.ascontiguousarray(values, dtype=float)
-    if array.size == 0:
-        return np.empty((0, width))
-    if array.ndim != 2 or array.shape[1] != width:
-        raise ValueError(f"camera {camera.name}: {name} must be (n, {width}), got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"camera {camera.name}: {name} has values that are not finite")
-    return array
 
 
 def _enough(model: FloatArray, camera: IntArray) -> bool:

@@ -23,7 +23,7 @@ from sylpose.network.words import HELLO, LARGEST_WORD, WELCOME, kind_of
 from sylpose.paper.distributed.messages import Packet
 from sylpose.rig import Rig
 
-__all__ = ["LOOPBACK", "Links", "Place", "Wire", "digest_of", "watch_network"]
+__all__ = ["LOOPBACK", "Links", "Place", "Wire", "digest_of", "line_of", "watch_network"]
 
 # Version of what nodes say to each other (choice).
 VERSION = 1
@@ -39,6 +39,8 @@ LEASE_MS, FIRST_LOOK, NEXT_LOOK = 1000, 1.0, 0.3
 THREADS = 32
 # Names that are remembered as refused (choice).
 MOST_REFUSED = 64
+# Bytes of a line for whoever listens: a thousand cameras' names in it (choice).
+LONGEST_LINE = 1 << 18
 
 
 def digest_of(rig: Rig, options: str = "") -> str:
@@ -256,6 +258,16 @@ def _interface(host: str) -> str:
     return "auto" if host in ("0.0.0.0", "[::]", "localhost") else host
 
 
+def line_of(said: bytes) -> str | None:
+    """What somebody told whoever listens; None where it is no text, or too long."""
+    if len(said) > LONGEST_LINE:
+        return None
+    try:
+        return said.decode()
+    except UnicodeDecodeError:
+        return None
+
+
 def watch_network(
     links: Links, network: str, on_state: Callable[[str, str, str], None], on_pose: Callable[[str, str], None]
 ) -> Any:
@@ -272,7 +284,9 @@ def watch_network(
 
     def heard(sample: Any) -> None:
         _, _, _, rig, name, what = str(sample.key_expr).split("/")
-        line = sample.payload.to_string()
+        line = line_of(sample.payload.to_bytes()) if len(sample.payload) <= LONGEST_LINE else None
+        if line is None or not NAME.fullmatch(name) or not NAME.fullmatch(rig):
+            return
         if what == "state":
             on_state(rig, name, line)
         else:

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.checked import finite, real
 from sylpose.numerics.compiled import kernel, symmetric_eigen
 
 __all__ = [
+    "checked_rotation",
     "checked_rotations",
     "covariance_of",
     "forget",
@@ -34,15 +36,25 @@ def transpose(a: FloatArray) -> FloatArray:
     return a.swapaxes(-1, -2)
 
 
-def checked_rotations(rotations: ArrayLike, n: int) -> FloatArray:
+def checked_rotations(rotations: ArrayLike, n: int, name: str = "rotations") -> FloatArray:
     """(n, 3, 3) rotation matrices, or a ValueError that says which is none."""
-    out = np.asarray(rotations, dtype=float)
+    out = real(rotations, "(C, 3, 3)", name)
     if out.ndim != 3 or out.shape[1:] != (3, 3) or len(out) != n or n == 0:
-        raise ValueError(f"rotations must be (C, 3, 3) for C = {n} moments, C >= 1; got shape {out.shape}")
-    finite = np.where(np.isfinite(out).all(axis=(1, 2), keepdims=True), out, 0)
-    wrong = (np.abs(finite @ transpose(finite) - np.eye(3)).max(axis=(1, 2)) > 1e-6) | (np.linalg.det(finite) < 0)
+        raise ValueError(f"{name} must be (C, 3, 3) for C = {n} moments, C >= 1; got shape {out.shape}")
+    # No entry of a rotation is beyond 1.
+    sane = np.where((np.abs(out) < 2.0).all(axis=(1, 2), keepdims=True), out, 0)
+    off = np.abs(sane @ transpose(sane) - np.eye(3)).max(axis=(1, 2)) > 1e-6
+    wrong = off | (np.linalg.det(np.where(off[:, None, None], np.eye(3), sane)) < 0)
     if wrong.any():
-        raise ValueError(f"rotations[{int(np.argmax(wrong))}] is not a rotation matrix")
+        raise ValueError(f"{name}[{int(np.argmax(wrong))}] is not a rotation matrix")
+    return out
+
+
+def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> FloatArray:
+    """(3, 3) a rotation matrix, or a ValueError that names the argument."""
+    out = finite(rotation, (3, 3), name)
+    if np.abs(out).max() > 2.0 or np.abs(out @ out.T - np.eye(3)).max() > 1e-6 or np.linalg.det(out) < 0:
+        raise ValueError(f"{name} is not a rotation matrix")
     return out
 
 

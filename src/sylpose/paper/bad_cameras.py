@@ -20,7 +20,8 @@ from scipy.special import fdtri
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.matrices import checked_rotations, transpose
+from sylpose.numerics.checked import items, listed, whole
+from sylpose.numerics.matrices import checked_rotation, transpose
 from sylpose.paper.affine_votes import FAULT, LEFT_OVER, SCALE, AffineFits, affine_fits, agreed_rotation, score, settled
 from sylpose.paper.centralized import CentralizedSolution, solve_centralized
 from sylpose.paper.orthographic import views_of
@@ -142,6 +143,7 @@ def solve_robust(
     Raises:
         ValueError: as `solve_centralized`; names that are not C.
     """
+    moments = listed(moments, PairMoments, "moments")
     diagnosis = diagnose(rotations, moments, names=names, aim=aim)
     Q = np.asarray(rotations, dtype=float)
     kept = np.flatnonzero(diagnosis.weights > 0).tolist()
@@ -170,6 +172,7 @@ def diagnose(
     Raises:
         ValueError: as `views_of`; names that are not C.
     """
+    moments = listed(moments, PairMoments, "moments")
     labels = _labels(names, len(moments))
     fits = affine_fits(views_of(rotations, moments, aim=aim))
     still, junk = stand_still(moments, fits), _junk(fits)
@@ -210,12 +213,14 @@ def suspect_cameras(
     Raises:
         ValueError: as `views_of`; names that are not C; a matrix that is no rotation.
     """
-    R = checked_rotations(np.asarray(rotation, dtype=float)[None], 1)[0]
+    R = checked_rotation(rotation)
+    moments = listed(moments, PairMoments, "moments")
+    known = [whole(c, f"at_fault[{k}]", most=len(moments) - 1) for k, c in enumerate(items(at_fault, "at_fault"))]
     labels = _labels(names, len(moments))
     fits = affine_fits(views_of(rotations, moments, aim=aim))
     still, junk = stand_still(moments, fits), _junk(fits)
     scores = np.maximum(score(fits, R[None]).squared[0], junk)
-    scores[np.isin(fits.camera, np.asarray(at_fault, dtype=np.int64))] = np.inf
+    scores[np.isin(fits.camera, np.array(known, dtype=np.int64))] = np.inf
     return _report(labels, fits, _kinds(still, junk > JUNK), R, scores, True)
 
 
@@ -294,7 +299,4 @@ def _kinds(still: BoolArray, junk: BoolArray) -> list[FaultKind]:
 
 
 def _labels(names: Sequence[str] | None, n: int) -> list[str]:
-    labels = [str(c) for c in range(n)] if names is None else [str(name) for name in names]
-    if len(labels) != n:
-        raise ValueError(f"names: {len(labels)} for {n} cameras")
-    return labels
+    return [str(c) for c in range(n)] if names is None else listed(names, str, "names", n)

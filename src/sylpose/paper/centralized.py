@@ -30,8 +30,9 @@ from numpy.typing import ArrayLike
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.matrices import checked_rotations
 from sylpose.numerics.unseen import LEAST_TURN, UNSEEN_SHARE, UNSEEN_TURN, unseen_directions
-from sylpose.paper.orthographic import Views, quadratics_of
+from sylpose.paper.orthographic import Views, matrices_of, quadratics_of
 from sylpose.paper.so3 import FLAT, cost_of, minimize_batch
 from sylpose.paper.surfaces import information_on_surfaces
 from sylpose.results import RotationEstimate, Status
@@ -189,8 +190,9 @@ def solve_centralized(rotations: ArrayLike, moments: Sequence[PairMoments], *, a
     Raises:
         ValueError: shapes that do not fit, matrices that are no rotations, matches without any spread.
     """
-    matrices = np.array([m.matrix for m in moments]).reshape(1, len(moments), 9, 9)
-    return solve_centralized_batch(rotations, matrices, aim=aim)[0]
+    matrices = matrices_of(moments)
+    Q = checked_rotations(rotations, len(matrices))
+    return solve_centralized_batch(Q, matrices[None], aim=aim)[0]
 
 
 def solve_centralized_batch(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True) -> CentralizedBatch:

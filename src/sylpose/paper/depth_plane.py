@@ -36,10 +36,11 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.checked import MOST, listed, real, shown
 from sylpose.numerics.matrices import kron, transpose
 from sylpose.numerics.unseen import LEAST_TURN, UNSEEN_SHARE, unseen_directions
 from sylpose.paper.depth_plane_kernels import RELIEF, costs, derivatives
-from sylpose.paper.orthographic import ROUNDING, views_of
+from sylpose.paper.orthographic import ROUNDING, matrices_of, views_of
 from sylpose.results import RotationEstimate, Status
 
 __all__ = [
@@ -198,15 +199,19 @@ def problem_of(
     rotations: ArrayLike, moments: Sequence[PairMoments], noise: ArrayLike | None, aim: bool
 ) -> tuple[Problem, BoolArray]:
     """The cameras that count, and which of all these are."""
+    moments = listed(moments, PairMoments, "moments")
     views = views_of(rotations, moments, aim=aim)
-    sigma = None if noise is None else np.asarray(noise, dtype=float)
-    if sigma is not None and (sigma.shape not in ((), (len(moments),)) or not (np.isfinite(sigma) & (sigma > 0)).all()):
-        raise ValueError(f"noise must be positive, one number or one for each of {len(moments)} cameras; got {noise!r}")
+    sigma = None
+    if noise is not None:
+        sigma = real(noise, f"one number or one for each of {len(moments)} cameras", "noise")
+        if sigma.shape not in ((), (len(moments),)) or not ((sigma > 0) & (sigma < MOST)).all():
+            wanted = f"one number or one for each of {len(moments)} cameras"
+            raise ValueError(f"noise must be positive, {wanted}; got {shown(noise)}")
     squares = np.trace(views.s_xx, axis1=1, axis2=2) + np.trace(views.s_yy, axis1=1, axis2=2)
     # What centring leaves by rounding is no spread.
     used = (views.weights >= MIN_MATCHES) & (squares > ROUNDING * views.total)
     views = views.subset(used)
-    M = np.array([m.matrix for m, u in zip(moments, used, strict=True) if u]).reshape(-1, 9, 9)
+    M = matrices_of(moments)[used]
     mean_x, mean_y = (M[:, 8, i] / M[:, 8, 8:] for i in ([6, 7, 8], [2, 5, 8]))
     if aim:
         Q = np.asarray(rotations, dtype=float)[used]

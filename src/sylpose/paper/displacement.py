@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from sylpose.moments import PairMoments
+from sylpose.moments import LEAST_COUNT, PairMoments
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.checked import finite, listed, number
 from sylpose.numerics.epipolar import essential, sampson
-from sylpose.numerics.matrices import checked_rotations
+from sylpose.numerics.matrices import checked_rotation, checked_rotations
 from sylpose.paper.orthographic import quadratic_of, views_of
 
 __all__ = ["translation_from_means", "translation_from_moments"]
@@ -63,6 +64,7 @@ def translation_from_means(
     """
     Q, o, used, R, g = _checked(rotations, centers, moments, rotation, center)
     variance = _variance(Q, used, R)
+    off = number(off, "off", least=0.0)
     depth = np.einsum("ci,ci->c", Q[:, 2], g - o)
     x, y = _mean_rays(used)
     offset = o + depth[:, None] * np.einsum("cji,cj->ci", Q, x) - g
@@ -108,9 +110,7 @@ def translation_from_moments(
         ValueError: as `translation_from_means`; a start or a prior of another shape, or not finite.
     """
     Q, o, used, R, g = _checked(rotations, centers, moments, rotation, center)
-    first, known = np.asarray(start, dtype=float), np.asarray(prior, dtype=float)
-    if first.shape != (3,) or known.shape != (3, 3) or not (np.isfinite(first).all() and np.isfinite(known).all()):
-        raise ValueError(f"start must be (3,) and prior (3, 3), finite; got shapes {first.shape} and {known.shape}")
+    first, known = finite(start, (3,), "start"), finite(prior, (3, 3), "prior")
     x, y = _mean_rays(used)
     values, vectors = np.linalg.eigh(np.array([m.matrix for m in used]))
     roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]  # M = root root'
@@ -147,12 +147,10 @@ def _checked(
     rotations: ArrayLike, centers: ArrayLike, moments: Sequence[PairMoments], rotation: ArrayLike, center: ArrayLike
 ) -> tuple[FloatArray, FloatArray, list[PairMoments], FloatArray, FloatArray]:
     """Q, o and moments of the cameras that have matches; R, g."""
-    Q = checked_rotations(rotations, len(moments))
-    R = checked_rotations(np.asarray(rotation, dtype=float)[None], 1)[0]
-    o, g = np.asarray(centers, dtype=float), np.asarray(center, dtype=float)
-    if o.shape != (len(Q), 3) or g.shape != (3,) or not (np.isfinite(o).all() and np.isfinite(g).all()):
-        raise ValueError(f"centers must be ({len(Q)}, 3) and center (3,), finite; got {o.shape} and {g.shape}")
-    seen = np.array([m.count > 0 for m in moments])
+    moments = listed(moments, PairMoments, "moments")
+    Q, R = checked_rotations(rotations, len(moments)), checked_rotation(rotation)
+    o, g = finite(centers, (len(Q), 3), "centers"), finite(center, (3,), "center")
+    seen = np.array([m.count > LEAST_COUNT for m in moments])
     if not seen.any():
         raise ValueError("no camera has matches")
     behind = seen & (np.einsum("ci,ci->c", Q[:, 2], g - o) <= 0)

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.checked import items, number, real, shown
 from sylpose.numerics.matrices import kron, transpose
 
 __all__ = ["Method", "SingularSylvesterError", "solve_generalized_sylvester", "solve_sylvester"]
@@ -114,6 +115,7 @@ def solve_generalized_sylvester(
         ValueError: shapes that do not fit, complex, infinite or NaN values, too many unknowns for "kronecker" (5000), K > 2
             for "bartels-stewart", a solution beyond the range of floating point numbers.
     """
+    As, Bs = items(As, "As"), items(Bs, "Bs")
     if len(As) != len(Bs) or len(As) == 0:
         raise ValueError(f"As and Bs must be equally many, at least one; got {len(As)} and {len(Bs)}")
     a = [_square(x, f"As[{k}]") for k, x in enumerate(As)]
@@ -153,9 +155,7 @@ def solve_generalized_sylvester(
 
 
 def _finite(array: ArrayLike, name: str) -> FloatArray:
-    if np.iscomplexobj(np.asarray(array)):
-        raise ValueError(f"{name} must be real, got complex numbers")
-    out = np.asarray(array, dtype=float)
+    out = real(array, "a finite matrix or a stack of them", name)
     if out.ndim < 2 or 0 in out.shape[-2:] or not np.isfinite(out).all():
         raise ValueError(f"{name} must be a finite matrix or a stack of them, got shape {out.shape}")
     return out
@@ -180,12 +180,12 @@ def _checked(
         batch = np.broadcast_shapes(*leading)
     except ValueError:
         raise ValueError(f"the leading axes do not broadcast: {', '.join(map(str, leading))}") from None
-    if not EPSILON <= rcond < 1:
+    if not EPSILON <= number(rcond, "rcond") < 1:
         raise ValueError(f"rcond must be at least {EPSILON:.3g} and below 1, got {rcond}")
     if method is None:
         method = "kronecker" if m * n <= few or terms > 2 else "bartels-stewart"
-    if method not in ("kronecker", "bartels-stewart"):
-        raise ValueError(f'method must be "kronecker" or "bartels-stewart", got {method!r}')
+    if not isinstance(method, str) or method not in ("kronecker", "bartels-stewart"):
+        raise ValueError(f'method must be "kronecker" or "bartels-stewart", got {shown(method)}')
     if method == "kronecker" and m * n > MOST_UNKNOWNS:
         raise ValueError(f"{m}x{n} unknowns are too many for the Kronecker product: at most {MOST_UNKNOWNS}")
     if method == "bartels-stewart" and terms > 2:
@@ -374,10 +374,10 @@ def _closest(gaps: FloatArray, near: float, values: Sequence[Array], names: tupl
     collide = bool(gaps.min() <= near)
     indices = np.argwhere(gaps <= (near if collide else gaps.min()))
     pairs = [
-        f"{_number(values[0][i])} of {names[0]} with {_number(values[1][j])} of {names[1]}" for i, j in indices[:6]
+        f"{_number(values[0][i])} of {names[0]} with {_number(values[1][j])} of {names[1]}" for i, j in indices[:3]
     ]
-    if len(indices) > 6:
-        pairs.append(f"{len(indices) - 6} more")
+    if len(indices) > 3:
+        pairs.append(f"{len(indices) - 3} more")
     start = "eigenvalues collide," if collide else "the matrices are far from normal, closest eigenvalues"
     return f"; {start} {'; '.join(pairs)}"
 

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.checked import finite, items
 from sylpose.numerics.matrices import checked_rotations, transpose
 from sylpose.numerics.unseen import UNSEEN_TURN, unseen_directions
 from sylpose.paper.centralized import status_of
@@ -102,13 +103,11 @@ def solve_2d3d(
     Raises:
         ValueError: shapes that do not fit, values that are not finite, matrices that are no rotations, no points at all.
     """
+    points = items(points, "points")
     Q = checked_rotations(rotations, len(points))
-    if len(images) != len(Q) or (weights is not None and len(weights) != len(Q)):
-        raise ValueError(f"points, images and weights must be of equally many cameras, here {len(Q)}")
-    o = np.zeros((len(Q), 3)) if centers is None else np.asarray(centers, dtype=float)
-    if o.shape != (len(Q), 3) or not np.isfinite(o).all():
-        raise ValueError(f"centers must be ({len(Q)}, 3), finite; got shape {o.shape}")
-    w = [None] * len(Q) if weights is None else weights
+    images = items(images, "images", len(Q))
+    o = np.zeros((len(Q), 3)) if centers is None else finite(centers, (len(Q), 3), "centers")
+    w = [None] * len(Q) if weights is None else items(weights, "weights", len(Q))
     sets = [
         _moments(points[c], images[c], w[c], (f"points[{c}]", f"images[{c}]", f"weights[{c}]"), 2)
         for c in range(len(Q))
@@ -213,15 +212,13 @@ class _Moments(NamedTuple):
 def _moments(
     x: ArrayLike, y: ArrayLike, weights: ArrayLike | None, names: tuple[str, str, str], dimensions: int
 ) -> _Moments:
-    points, images = _array(x, 3, names[0]), _array(y, dimensions, names[1])
+    points, images = finite(x, ("n", 3), names[0]), finite(y, ("n", dimensions), names[1])
     n = len(points)
     if len(images) != n:
         raise ValueError(f"{names[0]} has {n} points and {names[1]} has {len(images)}")
-    w = np.ones(n) if weights is None else np.asarray(weights, dtype=float)
-    if w.shape != (n,) or not np.isfinite(w).all() or (w < 0).any():
+    w = np.ones(n) if weights is None else finite(weights, (n,), names[2], most=MOST)
+    if (w < 0).any():
         raise ValueError(f"{names[2]} must be {n} finite, non-negative numbers")
-    if (w > MOST).any():
-        raise ValueError(f"{names[2]} must be at most {MOST:g}: a weight is a number of points")
     w = np.where(w < 1 / MOST, 0.0, w)
     weight = float(w.sum())
     share = w / weight if weight > 0 else w
@@ -231,15 +228,6 @@ def _moments(
     total = float(w @ (points**2).sum(axis=1))
     dx, dy = points - mean_x, images - mean_y
     return _Moments(weight, mean_x, mean_y, (dx.T * w) @ dx, (dy.T * w) @ dx, float(w @ (dy**2).sum(axis=1)) / 2, total)
-
-
-def _array(points: ArrayLike, dimensions: int, name: str) -> FloatArray:
-    out = np.asarray(points, dtype=float)
-    if out.ndim != 2 or out.shape[1] != dimensions:
-        raise ValueError(f"{name} must be (n, {dimensions}), got shape {out.shape}")
-    if not np.isfinite(out).all():
-        raise ValueError(f"{name} has points that are not finite")
-    return out
 
 
 def _proved_by_multiplier(H: FloatArray, L: FloatArray) -> bool:

@@ -40,7 +40,8 @@ from scipy.optimize import brentq
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.matrices import transpose
+from sylpose.numerics.checked import kind_of
+from sylpose.numerics.matrices import checked_rotation, transpose
 from sylpose.paper.centralized import status_of, unseen_turns
 from sylpose.paper.orthographic import ROUNDING, Views, quadratic_of, views_of
 from sylpose.paper.surfaces import information_on_surfaces
@@ -90,7 +91,12 @@ class OneCameraSolution:
     noise_information: FloatArray
 
     def nearest(self, guess: FloatArray) -> RotationEstimate:
-        """Of the two that which is nearer to a guess (3, 3): the camera itself cannot tell."""
+        """Of the two that which is nearer to a guess (3, 3): the camera itself cannot tell.
+
+        Raises:
+            ValueError: a guess that is no rotation.
+        """
+        guess = checked_rotation(guess, "guess")
         k = int(np.argmin(np.linalg.norm(self.rotations - guess, axis=(1, 2))))
         return RotationEstimate(self.status, self.rotations[k], self.information[k], self.unseen[k], self.iterations)
 
@@ -145,10 +151,8 @@ class _Block(NamedTuple):
 
 
 def _views(rotation: ArrayLike, moments: PairMoments, aim: bool) -> Views:
-    Q = np.asarray(rotation, dtype=float)
-    if Q.shape != (3, 3):
-        raise ValueError(f"rotation must be (3, 3), got shape {Q.shape}")
-    return views_of(Q[None], [moments], aim=aim)
+    Q = checked_rotation(rotation)
+    return views_of(Q[None], [kind_of(moments, PairMoments, "moments")], aim=aim)
 
 
 def _has_spread(views: Views) -> bool:

@@ -15,12 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.moments import PairMoments
+from sylpose.moments import LEAST_COUNT, MOST_MOMENT, PairMoments
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.checked import finite, listed, real, truth
 from sylpose.numerics.matrices import checked_rotations, transpose, turn_to
 from sylpose.paper.so3 import Quadratic
 
-__all__ = ["Terms", "Views", "quadratic_of", "quadratics_of", "terms_of", "views_of"]
+__all__ = ["Terms", "Views", "matrices_of", "quadratic_of", "quadratics_of", "terms_of", "views_of"]
 
 _Parts = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -89,9 +90,20 @@ def views_of(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool 
     Raises:
         ValueError: shapes that do not fit, matrices that are no rotations.
     """
-    Q = checked_rotations(rotations, len(moments))
-    M = np.array([m.matrix for m in moments])
+    aim, M = truth(aim, "aim"), matrices_of(moments)
+    Q = checked_rotations(rotations, len(M))
     return Views(*_second_moments(Q, M, aim), _squares(M))
+
+
+def matrices_of(moments: Sequence[PairMoments]) -> FloatArray:
+    """(C, 9, 9) of C pair moments; zero for a camera that sees less than a match that means anything.
+
+    Raises:
+        TypeError: something else than pair moments.
+    """
+    M = np.array([m.matrix for m in listed(moments, PairMoments, "moments")]).reshape(-1, 9, 9)
+    M[M[:, 8, 8] < LEAST_COUNT] = 0.0
+    return M
 
 
 def quadratic_of(views: Views) -> Quadratic:
@@ -124,11 +136,15 @@ def quadratics_of(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True)
         ValueError: shapes that do not fit, matrices that are no rotations, moments that are not finite or not symmetric,
             a problem in which no camera has matches with any spread.
     """
-    M, Q = np.asarray(moments, dtype=float), np.asarray(rotations, dtype=float)
-    if M.ndim != 4 or M.shape[2:] != (9, 9) or not np.isfinite(M).all():
-        raise ValueError(f"moments must be finite (N, C, 9, 9), got shape {M.shape}")
+    aim = truth(aim, "aim")
+    M, Q = finite(moments, ("N", "C", 9, 9), "moments", most=MOST_MOMENT), real(rotations, "(C, 3, 3)", "rotations")
     if np.abs(M - transpose(M)).max(initial=0.0) > 1e-12 + 2e-9 * np.abs(M).max(initial=0.0):  # as PairMoments at most
         raise ValueError("moments must be symmetric")
+    if (M.diagonal(axis1=-2, axis2=-1) < 0).any():
+        raise ValueError("moments must be sums of squares, but have negative ones")
+    few = M[..., 8, 8] < LEAST_COUNT
+    if M[few].any():
+        M = np.where(few[..., None, None], 0.0, M)
     n, c = M.shape[:2]
     if Q.ndim == 4 and Q.shape[:2] == (n, c):
         Q = checked_rotations(Q.reshape(-1, *Q.shape[2:]), n * c).reshape(n, c, 3, 3)

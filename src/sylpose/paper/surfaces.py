@@ -43,6 +43,8 @@ OWN, SHAPE = 0.5, 0.7
 LOG_SCALE = 0.03
 # Points are collinear where the smaller eigenvalue of S_xx is at most this share of the larger (choice).
 COLLINEAR = 1e-12
+# As a share of what is seen: some roundings (derived).
+ROUNDING = 1e-15
 # The six entries of a symmetric T: those off the diagonal stand for two (derived).
 _ROWS, _COLUMNS, _TIMES = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2], np.repeat([1.0, np.sqrt(2.0)], 3)
 
@@ -169,7 +171,10 @@ def _fits(maps: _Maps, noise: float) -> tuple[FloatArray, FloatArray]:
 
 def _leaning(sums: Sums) -> float:
     """A², the mean over what is likely; a turn of a radian has a variance of 1 beforehand."""
-    information, gradient = np.eye(3) + sums.fits[:, :3, :3], sums.fits[:, :3, 3:]
+    fits, gradient = sums.fits[:, :3, :3], sums.fits[:, :3, 3:]
+    # What is known beforehand is rounded away where the fits are exact, and some of them see no turn about some axis.
+    least = np.maximum(1.0, ROUNDING * np.trace(fits, axis1=1, axis2=2))
+    information = least[:, None, None] * np.eye(3) + fits
     squares = sums.fits[:, 3, 3] - (gradient * np.linalg.solve(information, gradient)).sum(axis=(1, 2))
     likely = -0.5 * (squares + np.linalg.slogdet(information)[1] + sums.doubts)
     share = np.exp(likely - likely.max())

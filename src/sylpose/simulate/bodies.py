@@ -8,6 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.checked import finite, truth, whole
+
+# Points of a body, and its longest and inverse shortest side: more is no body (choice).
+MOST_POINTS, LONGEST = 10**7, 1e9
 
 __all__ = ["Body", "box", "cloud", "ellipsoid", "plane"]
 
@@ -29,11 +33,10 @@ class Body:
     normals: FloatArray
 
     def __post_init__(self) -> None:
-        points, normals = np.array(self.points, dtype=float), np.array(self.normals, dtype=float)
-        if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or normals.shape != points.shape:
-            raise ValueError(f"a body needs points and normals (n, 3), got shapes {points.shape} and {normals.shape}")
-        if not (np.isfinite(points).all() and np.isfinite(normals).all()):
-            raise ValueError("a body's points and normals must be finite")
+        points = np.array(finite(self.points, ("n", 3), "a body's points"))
+        normals = np.array(finite(self.normals, (len(points), 3), "a body's normals"))
+        if len(points) == 0:
+            raise ValueError("a body needs points, at least one")
         points.setflags(write=False)
         normals.setflags(write=False)
         object.__setattr__(self, "points", points)
@@ -47,7 +50,7 @@ class Body:
 
 def ellipsoid(semi_axes: ArrayLike = (0.15, 0.15, 0.15), n: int = 4000, seed: int = 0) -> Body:
     """`n` points on an ellipsoid with the given semi-axes (3,), evenly by area."""
-    rng, axes = np.random.default_rng(seed), np.asarray(semi_axes, dtype=float)
+    rng, axes = _seeded(n, seed), _lengths(semi_axes, 3, "semi_axes")
     on_sphere = _unit(rng.standard_normal((8 * n, 3)))
     stretch = np.linalg.norm(on_sphere / axes, axis=1)  # surface per solid angle, up to a factor
     kept = rng.choice(len(on_sphere), n, replace=False, p=stretch / stretch.sum())
@@ -56,7 +59,7 @@ def ellipsoid(semi_axes: ArrayLike = (0.15, 0.15, 0.15), n: int = 4000, seed: in
 
 def box(sides: ArrayLike = (0.3, 0.2, 0.25), n: int = 4000, seed: int = 0) -> Body:
     """`n` points on the six faces of a box with the given sides (3,), evenly by area."""
-    rng, half = np.random.default_rng(seed), np.asarray(sides, dtype=float) / 2
+    rng, half = _seeded(n, seed), _lengths(sides, 3, "sides") / 2
     areas = np.prod(half) / half
     axis = rng.choice(3, n, p=areas / areas.sum())
     sign = rng.choice([-1.0, 1.0], n)
@@ -69,16 +72,30 @@ def box(sides: ArrayLike = (0.3, 0.2, 0.25), n: int = 4000, seed: int = 0) -> Bo
 
 def plane(sides: ArrayLike = (0.3, 0.3), n: int = 4000, seed: int = 0, *, two_sided: bool = True) -> Body:
     """`n` points of a flat board with the given width and height, in the x-y plane; one-sided, it is seen from -z."""
-    rng, half = np.random.default_rng(seed), np.asarray(sides, dtype=float) / 2
+    rng, half = _seeded(n, seed), _lengths(sides, 2, "sides") / 2
+    two_sided = truth(two_sided, "two_sided")
     points = np.column_stack([rng.uniform(-1, 1, (n, 2)) * half, np.zeros(n)])
     return Body(points, np.tile([0.0, 0.0, 0.0 if two_sided else -1.0], (n, 1)))
 
 
 def cloud(semi_axes: ArrayLike = (0.15, 0.15, 0.15), n: int = 4000, seed: int = 0) -> Body:
     """`n` points evenly inside an ellipsoid with the given semi-axes (3,), each visible from everywhere."""
-    rng = np.random.default_rng(seed)
+    rng, axes = _seeded(n, seed), _lengths(semi_axes, 3, "semi_axes")
     inside = _unit(rng.standard_normal((n, 3))) * np.cbrt(rng.uniform(0, 1, (n, 1)))
-    return Body(inside * np.asarray(semi_axes, dtype=float), np.zeros((n, 3)))
+    return Body(inside * axes, np.zeros((n, 3)))
+
+
+def _seeded(n: int, seed: int) -> np.random.Generator:
+    """Once the number of points makes sense."""
+    whole(n, "n", least=1, most=MOST_POINTS)
+    return np.random.default_rng(whole(seed, "seed"))
+
+
+def _lengths(values: ArrayLike, n: int, name: str) -> FloatArray:
+    out = finite(values, (n,), name, most=LONGEST)
+    if not (out >= 1 / LONGEST).all():
+        raise ValueError(f"{name} must be lengths from {1 / LONGEST:g} to {LONGEST:g}, got {out}")
+    return out
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.numerics.arrays import FloatArray
-from sylpose.rig import Rig, camera_at
+from sylpose.numerics.checked import finite, number, real, whole
+from sylpose.rig import MAX_LENGTH, Rig, camera_at
+
+MOST_CAMERAS = 10_000  # of a rig (choice)
 
 __all__ = ["arc", "dome", "ring"]
 
@@ -25,9 +28,8 @@ def ring(
     distortion: ArrayLike = (),
 ) -> Rig:
     """`n` cameras evenly on a full horizontal circle around the target. Arguments as in `arc`."""
-    return arc(
-        n, 360.0 / max(n, 1), radius, focal, size, height=height, target=target, distortion=distortion, first=0.0
-    )
+    n = whole(n, "n", least=1, most=MOST_CAMERAS)
+    return arc(n, 360.0 / n, radius, focal, size, height=height, target=target, distortion=distortion, first=0.0)
 
 
 def arc(
@@ -59,11 +61,16 @@ def arc(
     Raises:
         ValueError: fewer than one camera, heights that are neither one nor n, or anything that `Camera` refuses.
     """
-    heights = np.asarray(height, dtype=float)
-    if n < 1 or heights.shape not in ((), (n,)):
-        raise ValueError(
-            f"a rig of {n} cameras with {heights.size} heights: at least one camera, one height or one each"
-        )
+    n = whole(n, "n", least=1, most=MOST_CAMERAS)
+    spacing_deg = number(spacing_deg, "spacing_deg", least=-360.0, most=360.0)
+    radius = number(radius, "radius", least=0.0, most=MAX_LENGTH)
+    heights = real(height, f"one number or ({n},)", "height")
+    if not (np.abs(heights) <= MAX_LENGTH).all():
+        raise ValueError(f"height has values that are not finite, or beyond {MAX_LENGTH:g}")
+    if first is not None:
+        first = number(first, "first", least=-1e6, most=1e6)
+    if heights.shape not in ((), (n,)):
+        raise ValueError(f"height must be one number or ({n},), got shape {heights.shape}")
     start = -spacing_deg * (n - 1) / 2 if first is None else first
     angles = np.deg2rad(start + spacing_deg * np.arange(n))
     offsets = np.column_stack([radius * np.sin(angles), np.broadcast_to(-heights, n), -radius * np.cos(angles)])
@@ -83,8 +90,9 @@ def dome(
     """`n` cameras spread evenly (a Fibonacci spiral) over the part of a sphere that is `lowest_deg` or more above the
     horizon of the target; `radius` is the sphere's. Other arguments, returns and errors as in `arc`.
     """
-    if n < 1:
-        raise ValueError(f"a rig needs at least one camera, got {n}")
+    n = whole(n, "n", least=1, most=MOST_CAMERAS)
+    radius = number(radius, "radius", above=0.0, most=MAX_LENGTH)
+    lowest_deg = number(lowest_deg, "lowest_deg", least=-90.0, most=90.0)
     bottom = np.sin(np.deg2rad(lowest_deg))
     up = bottom + (1 - bottom) * (np.arange(n) + 0.5) / n
     angles = np.pi * (3 - np.sqrt(5)) * np.arange(n)
@@ -96,6 +104,6 @@ def dome(
 def _looking_at(
     offsets: FloatArray, target: ArrayLike, focal: float, size: tuple[int, int], distortion: ArrayLike
 ) -> Rig:
-    target = np.asarray(target, dtype=float)
+    target = finite(target, (3,), "target", most=MAX_LENGTH)
     cameras = [camera_at(f"cam_{i}", target + o, target, focal, size, distortion) for i, o in enumerate(offsets)]
     return Rig(cameras, "m")

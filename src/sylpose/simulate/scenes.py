@@ -13,7 +13,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.matches import Matches
 from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.rig import Camera, Rig
+from sylpose.numerics.checked import finite, kind_of, listed, number, one_of, shown, truth, whole
+from sylpose.reading import one_line
+from sylpose.rig import MAX_LENGTH, MAX_PX, Camera, Rig, single_pose
 from sylpose.simulate.bodies import Body
 
 __all__ = ["OutlierKind", "SimulatedPair", "random_motion", "simulate_matches"]
@@ -56,12 +58,14 @@ def random_motion(
     Raises:
         ValueError: an axis of length zero.
     """
-    about = rng.standard_normal(3) if axis is None else np.asarray(axis, dtype=float)
+    turn_deg, shift = number(turn_deg, "turn_deg", least=-360.0, most=360.0), number(shift, "shift", most=MAX_LENGTH)
+    kind_of(rng, np.random.Generator, "rng")
+    center = finite(center, (3,), "center", most=MAX_LENGTH)
+    about = rng.standard_normal(3) if axis is None else finite(axis, (3,), "axis", most=MAX_LENGTH)
     direction = rng.standard_normal(3)
-    if not np.linalg.norm(about) > 0:
-        raise ValueError("the axis of a turn must not be zero")
+    if not np.linalg.norm(about) > 1 / MAX_LENGTH:
+        raise ValueError("axis: the axis of a turn must not be zero")
     rotation = Rotation.from_rotvec(np.deg2rad(turn_deg) * about / np.linalg.norm(about))
-    center = np.asarray(center, dtype=float)
     moved = center - rotation.apply(center) + shift * direction / np.linalg.norm(direction)
     return RigidTransform.from_components(moved, rotation)
 
@@ -110,15 +114,19 @@ def simulate_matches(
     Raises:
         ValueError: a camera that the rig does not have, a share outside [0, 1], an unknown kind, a negative number.
     """
-    for name in (*dead, *junk):
-        if name not in rig.names:
-            raise ValueError(f"no camera {name!r} in the rig ({', '.join(rig.names)})")
-    if not (0 <= outliers <= 1 and 0 <= occlusion < 1):
-        raise ValueError(f"outliers must be in [0, 1] and occlusion in [0, 1), got {outliers} and {occlusion}")
-    if outlier_kind not in get_args(OutlierKind):
-        raise ValueError(f"outlier_kind must be one of {', '.join(get_args(OutlierKind))}, got {outlier_kind!r}")
-    if per_camera < 0 or noise_px < 0:
-        raise ValueError(f"per_camera and noise_px must not be negative, got {per_camera} and {noise_px}")
+    kind_of(rig, Rig, "rig"), kind_of(body, Body, "body"), kind_of(rng, np.random.Generator, "rng")
+    for what, names in (("dead", dead), ("junk", junk)):
+        for name in listed(names, str, what):
+            if name not in rig.names:
+                raise ValueError(f"{what}: no camera {shown(name)} in the rig ({one_line(', '.join(rig.names), 200)})")
+    for what, pose in (("motion", motion), ("other_motion", other_motion), ("start", start)):
+        if pose is not None or what == "motion":
+            single_pose(pose, what)
+    number(outliers, "outliers", least=0.0, most=1.0), number(noise_px, "noise_px", least=0.0, most=MAX_PX)
+    if not number(occlusion, "occlusion", least=0.0, most=1.0) < 1:
+        raise ValueError(f"occlusion must be in [0, 1), got {occlusion}")
+    one_of(outlier_kind, get_args(OutlierKind), "outlier_kind")
+    whole(per_camera, "per_camera"), truth(orthographic, "orthographic")
 
     start = RigidTransform.identity() if start is None else start
     key = int(rng.integers(2**63))

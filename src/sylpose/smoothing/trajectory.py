@@ -19,6 +19,7 @@ from sylpose.adjustment.calibration import MOVED_SHARE, Correction, Doubt, Moved
 from sylpose.adjustment.given_up import given_up
 from sylpose.adjustment.sized import bundle_sized, length_is_open
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.checked import kind_of, listed, number, shown, truth, whole
 from sylpose.results import FramePose, Observable, Status
 from sylpose.rig import Rig
 from sylpose.tracking.far_frames import another_path
@@ -117,8 +118,25 @@ def smooth(
         on_round: called with the number of each round of the refinement as it begins.
 
     Raises:
-        ValueError: `recalibrate` or `moved` cameras without a doubt.
+        ValueError, TypeError: naming the argument; `recalibrate` or `moved` cameras without a doubt.
     """
+    n = len(kind_of(rig, Rig, "rig"))
+    frames, moved = listed(frames, Track, "frames"), listed(moved, Moved, "moved")
+    for k, frame in enumerate(frames):
+        (
+            kind_of(frame.pose, FramePose, f"frames[{k}]: pose"),
+            listed(frame.sightings, Sightings, f"frames[{k}]: sightings"),
+        )
+    if offsets_sd is not None:
+        number(offsets_sd, "offsets_sd", above=0.0)
+    if doubt is not None and len(kind_of(doubt, Doubt, "doubt").turn) != n:
+        raise ValueError(f"doubt is not of the rig's {n} cameras")
+    if truth(recalibrate, "recalibrate") and doubt is None:
+        raise ValueError("recalibrate: a calibration is estimated within a doubt, and there is none")
+    for m in moved:
+        whole(m.camera, "moved: camera", most=n - 1)
+    if on_round is not None and not callable(on_round):
+        raise TypeError(f"on_round must be a function, got {shown(on_round)}")
     if moved and doubt is None:
         raise ValueError("moved: cameras that were moved need a doubt, of where they were at first")
     nothing = np.zeros(len(rig))

@@ -9,8 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sylpose.frames import Box, FrameSet
+from sylpose.frames import Box, FrameSet, check_frames
 from sylpose.methods import FEATURES, METHODS, features_of
+from sylpose.numerics.checked import kind_of, number, shown, whole
+from sylpose.reading import one_line
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.crew import Crew, OneProcess
@@ -23,6 +25,8 @@ from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.phases import Waiting, finish, next_frame
 from sylpose.tracking.team import Team
 from sylpose.tracking.tracked_frame import TrackedFrame
+
+MAX_LATE = 1e6  # seconds: cameras of one recording are not days apart (choice)
 
 __all__ = ["Memory", "Tracker", "Tracking", "track"]
 
@@ -52,9 +56,15 @@ def track(
             space.
     """
     with Tracker(rig, boxes, method=method, features=features, offsets=offsets, workers=workers, seed=seed) as tracker:
-        for frame_set in frames:
+        for frame_set in _iterated(frames):
             yield from tracker.step(frame_set)
         yield from tracker.flush()
+
+
+def _iterated(frames: Iterable[FrameSet]) -> Iterable[FrameSet]:
+    if not isinstance(frames, Iterable) or isinstance(frames, (str, bytes, Mapping)):
+        raise TypeError(f"frames must be a sequence of FrameSet, got {shown(frames)}")
+    return frames
 
 
 class Memory(NamedTuple):
@@ -90,13 +100,16 @@ class Tracking:
         seed: int,
     ) -> None:
         follows = features_of(method, features) == "klt"
-        if seed < 0:
-            raise ValueError(f"seed must not be negative, got {seed}")
-        for name in offsets or {}:
+        whole(seed, "seed")
+        for name, value in kind_of({} if offsets is None else offsets, Mapping, "offsets").items():
             if name not in rig.names:
-                raise ValueError(f"offsets: no camera {name!r} in the rig ({', '.join(rig.names)})")
+                raise ValueError(f"offsets: no camera {shown(name)} in the rig ({one_line(', '.join(rig.names), 200)})")
+            number(value, f"offsets: {name}", least=-MAX_LATE, most=MAX_LATE)
+        for name, box in kind_of({} if boxes is None else boxes, Mapping, "boxes").items():
+            kind_of(box, Box, f"boxes: {shown(name)}")
         late = np.array([(offsets or {}).get(name, 0.0) for name in rig.names])
         self._team = Team(rig, parts, crew, SOLVERS[method], follows, late, seed, method == METHODS[0])
+        self._rig = rig
         self._joint = Joint(ObjectModel.in_boxes(rig, boxes) if boxes else ObjectModel())
         self._waiting: Sequence[Waiting] = []
         self.number = 0  # of the next frame
@@ -108,8 +121,9 @@ class Tracking:
             The frames that are now decided, in order: usually this one; none while the object has not moved yet and no
             boxes tell where it is, then those that waited for it and this one.
         """
-        number, self.number = self.number, self.number + 1
-        self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, number, frames)
+        check_frames(frames, self._rig)
+        index, self.number = self.number, self.number + 1
+        self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, index, frames)
         return decided
 
     @property
@@ -203,6 +217,9 @@ class Tracker(Tracking):
         workers: int | None = None,
         seed: int = 0,
     ) -> None:
+        kind_of(rig, Rig, "rig")
+        if workers is not None:
+            whole(workers, "workers", least=0)
         self._crew = OneProcess(len(rig), workers or min(len(rig), os.cpu_count() or 1))
         parts = [CameraPart(c, camera) for c, camera in enumerate(rig)]
         super().__init__(rig, parts, self._crew, boxes, method=method, features=features, offsets=offsets, seed=seed)

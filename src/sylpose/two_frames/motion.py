@@ -13,11 +13,12 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.matches import Matches
 from sylpose.methods import MOTION_METHODS as METHODS
 from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.numerics.checked import finite, items, kind_of, listed, number, one_of, whole
 from sylpose.numerics.compiled import kernel
 from sylpose.numerics.copies import distinct
 from sylpose.numerics.matrices import covariance_of, forget
 from sylpose.results import Motion, Status
-from sylpose.rig import Rig
+from sylpose.rig import Rig, single_pose
 from sylpose.two_frames.bodies import larger_body
 from sylpose.two_frames.fit import MIN_MATCHES, Fit, Solved, no_fit
 from sylpose.two_frames.leave_out import without_faults
@@ -71,18 +72,15 @@ def estimate_motion(
 
     Source: Chen & Schonfeld 2010 for the paper's estimators; docs/method.md for the rest.
     """
-    if len(matches) != len(rig):
-        raise ValueError(
-            f"matches: {len(matches)} sets for {len(rig)} cameras; give one per camera, in the rig's order"
-        )
-    if method not in METHODS:
-        raise ValueError(f"method: {method!r} is not one of {', '.join(METHODS)}")
-    if radius is not None and not (np.isfinite(radius) and radius > 0):
-        raise ValueError(f"radius: {radius} is not a positive length")
-    if initial is not None and not np.isfinite(initial.as_matrix()).all():
-        raise ValueError("initial: the transform has values that are not finite")
-    if center is not None and not np.isfinite(np.asarray(center, dtype=float)).all():
-        raise ValueError(f"center: {center!r} is not a point of three finite coordinates")
+    matches = listed(matches, Matches, "matches", len(kind_of(rig, Rig, "rig")))
+    one_of(method, METHODS, "method")
+    seed = whole(seed, "seed")
+    if radius is not None:
+        radius = number(radius, "radius", above=0.0)
+    if initial is not None:
+        single_pose(initial, "initial")
+    if center is not None:
+        center = finite(center, (3,), "center")
     singles = [distinct(m.x, m.y) for m in matches]
     if any(single is not None for single in singles):
         once = [m if s is None else Matches(m.x[s.rows], m.y[s.rows]) for m, s in zip(matches, singles, strict=True)]
@@ -96,7 +94,7 @@ def estimate_motion(
     ]
     if sum(len(term) for term in data) < MIN_MATCHES:
         return _motion(rig, matches, data, no_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), method, 1.0)
-    given = None if center is None else _place(center, rig, data)
+    given = None if center is None else _place(np.asarray(center), rig, data)
     rng = Seeded(seed)
 
     def solve(terms: Sequence[TermData], near: Solved | None = None) -> Solved:
@@ -136,16 +134,19 @@ def estimate_motions(
     Raises:
         ValueError: as `estimate_motion`; fewer than one thread.
     """
-    if int(threads) != threads or threads < 1:
-        raise ValueError(f"threads: {threads} is not a positive number")
+    whole(threads, "threads", least=1)
+    sets = [
+        listed(one, Matches, f"pairs[{k}]", len(kind_of(rig, Rig, "rig")))
+        for k, one in enumerate(items(pairs, "pairs"))
+    ]
 
     def one(matches: Sequence[Matches]) -> Motion:
         return estimate_motion(rig, matches, method=method, seed=seed)
 
     if threads == 1:
-        return [one(matches) for matches in pairs]
+        return [one(matches) for matches in sets]
     with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(one, pairs))
+        return list(pool.map(one, sets))
 
 
 def motion_about(center: FloatArray, rotation: FloatArray, shift: FloatArray) -> RigidTransform:
@@ -210,11 +211,8 @@ def _rms(weights: FloatArray, residuals: FloatArray, agree: BoolArray) -> float:
     return float(np.sqrt(squares / count)) if count > 0 else np.nan
 
 
-def _place(center: ArrayLike, rig: Rig, data: Sequence[TermData]) -> FloatArray:
+def _place(g: FloatArray, rig: Rig, data: Sequence[TermData]) -> FloatArray:
     """The given centre (3,), once it makes sense."""
-    g = np.asarray(center, dtype=float)
-    if g.shape != (3,) or not np.isfinite(g).all():
-        raise ValueError(f"center: {center!r} is not a point of three finite coordinates")
     for term in data:
         if term.rotation[2] @ (g - term.center) <= 0:
             raise ValueError(f"center: {g.tolist()} is behind camera {rig.names[term.camera]}, which has matches")

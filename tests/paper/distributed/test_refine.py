@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.matrices import upper_of
 from sylpose.paper.centralized import solve_centralized
 from sylpose.paper.distributed.evidence import evidence_of, packed, unpacked
 from sylpose.paper.distributed.exchange import exchange_start, exchange_step
@@ -271,7 +272,7 @@ def test_moments_that_no_image_has_are_refused(kind: str) -> None:
     else:
         matrix *= 1e16
     state, _ = exchange_start(0, cameras, moments[0])
-    bad = encode(1, Message(0, True, True, np.frombuffer(PairMoments(matrix).to_bytes(), "<f8")))
+    bad = encode(1, Message(0, True, True, upper_of(matrix)))
     good = exchange_start(2, cameras, moments[2])[1][0].data
     state, _ = exchange_step(state, [(1, bad), (2, good)])
     assert state.done

@@ -595,9 +595,9 @@ def test_bad_input_is_refused(solve: Solve) -> None:
 def test_impossible_disturbances_are_refused() -> None:
     with pytest.raises(ValueError, match=r"loss must be in \[0, 1\)"):
         Disturbances(loss=1.0)
-    with pytest.raises(ValueError, match="delay not negative"):
+    with pytest.raises(ValueError, match="delay: -1 is not a whole number"):
         Disturbances(delay=-1)
-    with pytest.raises(ValueError, match="nonsense must be one of nan, huge"):
+    with pytest.raises(ValueError, match="nonsense: 'noise' is not one of nan, huge"):
         Disturbances(nonsense={0: "noise"})  # type: ignore[dict-item]
 
 

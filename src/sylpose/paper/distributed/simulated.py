@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.numerics.checked import items, kind_of, listed, number, one_of, whole
 from sylpose.numerics.matrices import checked_rotations
 from sylpose.paper.centralized import status_of, unseen_turns
 from sylpose.paper.distributed.exchange import exchange_start, exchange_step
@@ -33,6 +34,7 @@ from sylpose.results import RotationEstimate, Status
 
 __all__ = ["Agreement", "Disturbances", "Nonsense", "run", "solve_exchange", "solve_gossip", "solve_refine"]
 
+MOST_ROUNDS = 10**6  # of a simulated network: more would take days (choice)
 AGREED = 1e-7  # radians between the answers of cameras that agree: ten times what is asked of each (choice)
 
 
@@ -64,14 +66,25 @@ class Disturbances:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.loss < 1 or self.delay < 0:
-            raise ValueError(f"loss must be in [0, 1) and delay not negative, got {self.loss} and {self.delay}")
+        loss = number(self.loss, "loss", least=0.0, most=1.0)
+        if loss == 1.0:
+            raise ValueError(f"loss must be in [0, 1), got {self.loss}")
+        whole(self.delay, "delay", most=MOST_ROUNDS)
+        whole(self.seed, "seed")
+        for name in ("dies", "joins", "returns", "nonsense"):
+            for camera, value in kind_of(getattr(self, name), Mapping, name).items():
+                whole(camera, f"{name}: camera")
+                if name != "nonsense":
+                    whole(value, f"{name}[{camera}]", most=MOST_ROUNDS)
+        begin, end, group = items(kind_of(self.apart, (tuple, list), "apart"), "apart", 3, "parts")
+        whole(begin, "apart[0]"), whole(end, "apart[1]")
+        for camera in items(kind_of(group, (frozenset, set, tuple, list), "apart[2]"), "apart[2]"):
+            whole(camera, "apart[2]: camera")
         early = [c for c, back in self.returns.items() if not self.dies.get(c, back) < back]
         if early:
             raise ValueError(f"cameras {early} return before they have died")
-        unknown = set(self.nonsense.values()) - set(get_args(Nonsense))
-        if unknown:
-            raise ValueError(f"nonsense must be one of {', '.join(get_args(Nonsense))}, got {sorted(unknown)}")
+        for kind in self.nonsense.values():
+            one_of(kind, get_args(Nonsense), "nonsense")
 
 
 UNDISTURBED = Disturbances()
@@ -155,7 +168,8 @@ def solve_exchange(
     Raises:
         ValueError: as `solve_centralized`.
     """
-    Q = _checked(rotations, moments, aim, disturbances)
+    Q, moments = _checked(rotations, moments, aim, disturbances)
+    rounds = whole(rounds, "rounds", least=1, most=MOST_ROUNDS)
     starts = [lambda c=c: exchange_start(c, Q, moments[c], aim=aim, rounds=rounds) for c in range(len(Q))]
     return _agreement(Q, moments, aim, run(starts, exchange_step, disturbances, rounds + 1))
 
@@ -173,7 +187,8 @@ def solve_refine(
     It finds a minimum, not always the least one where there are several (collinear points, say): NOT_CERTIFIED then. Of
     matches that mean nothing it may find none.
     """
-    Q = _checked(rotations, moments, aim, disturbances)
+    Q, moments = _checked(rotations, moments, aim, disturbances)
+    bound = whole(bound, "bound", least=1, most=MOST_ROUNDS)
     everyone = range(len(Q))
     starts = [lambda c=c: refine_start(c, everyone, Q[c], moments[c], aim=aim, bound=bound) for c in everyone]
     return _agreement(Q, moments, aim, run(starts, refine_step, disturbances, bound + 1))
@@ -197,9 +212,10 @@ def solve_gossip(
     Raises:
         ValueError: as `solve_exchange`; a graph that is not connected.
     """
-    Q = _checked(rotations, moments, aim, disturbances)
+    Q, moments = _checked(rotations, moments, aim, disturbances)
+    bound = whole(bound, "bound", least=1, most=MOST_ROUNDS)
     n = len(Q)
-    pairs = [(c, (c + 1) % n) for c in range(n)][: n if n > 2 else n - 1] if graph is None else list(graph)
+    pairs = [(c, (c + 1) % n) for c in range(n)][: n if n > 2 else n - 1] if graph is None else _pairs(graph, n)
     starts = [lambda c=c: gossip_start(c, n, pairs, Q[c], moments[c], aim=aim, bound=bound) for c in range(n)]
     return _agreement(Q, moments, aim, run(starts, gossip_step, disturbances, bound + 1))
 
@@ -274,14 +290,27 @@ def run(
     return Outcome(states, alive, rounds, sent, received)
 
 
-def _checked(rotations: ArrayLike, moments: Sequence[PairMoments], aim: bool, disturbances: Disturbances) -> FloatArray:
-    """The rotations; all errors that the centralised estimator would raise."""
+def _checked(
+    rotations: ArrayLike, moments: Sequence[PairMoments], aim: bool, disturbances: Disturbances
+) -> tuple[FloatArray, list[PairMoments]]:
+    """The rotations and moments; all errors that the centralised estimator would raise."""
+    moments = listed(moments, PairMoments, "moments")
     Q = checked_rotations(rotations, len(moments))
     quadratic_of(views_of(Q, moments, aim=aim))
-    unknown = {*disturbances.dies, *disturbances.joins, *disturbances.nonsense} - set(range(len(Q)))
+    its = kind_of(disturbances, Disturbances, "disturbances")
+    unknown = {*its.dies, *its.joins, *its.returns, *its.nonsense, *its.apart[2]} - set(range(len(Q)))
     if unknown:
         raise ValueError(f"disturbances of cameras {sorted(unknown)}: there are cameras 0 to {len(Q) - 1}")
-    return Q
+    return Q, moments
+
+
+def _pairs(graph: Iterable[tuple[int, int]], n: int) -> list[tuple[int, int]]:
+    """Raises TypeError, ValueError: no pairs of cameras."""
+    out = []
+    for k, pair in enumerate(items(graph, "graph")):
+        a, b = items(pair, f"graph[{k}]", 2, "ends")
+        out.append((whole(a, f"graph[{k}]", most=n - 1), whole(b, f"graph[{k}]", most=n - 1)))
+    return out
 
 
 def _agreement(Q: FloatArray, moments: Sequence[PairMoments], aim: bool, outcome: Outcome[Scheme]) -> Agreement:

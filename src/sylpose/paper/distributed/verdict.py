@@ -77,7 +77,10 @@ def plausible(values: FloatArray, aim: bool) -> PairMoments:
     Raises:
         ValueError: why no image has such moments.
     """
-    moments = PairMoments.from_bytes(values.astype("<f8").tobytes())
+    try:
+        moments = PairMoments.from_bytes(values.astype("<f8").tobytes())
+    except ValueError as error:
+        raise ValueError(f"moments that no image has ({error})") from None
     count = moments.matrix[8, 8]
     if not 0 <= count < 1e15:
         raise ValueError("moments that no image has: their number of matches")
