@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray
-from sylpose.report.disagreement import AT_EASE, WINDOW, disagreements, remarks
+from sylpose.report.disagreement import AT_EASE, WINDOW, disagreements, noisy, remarks
 from sylpose.report.files import TrajectoryWriter, read_trajectory
 from sylpose.report.plots import plot_trajectory
 from sylpose.results import FramePose, FrameStatus, Trajectory
@@ -160,3 +160,23 @@ def test_a_camera_that_is_bumped_into_is_named(degrees: float, camera: int) -> N
         return
     assert [d.camera for d in found] == [f"cam_{camera}"]
     assert 18 <= found[0].first <= 22
+
+
+@pytest.mark.parametrize(
+    ("residuals", "named"),
+    [
+        ([0.3, 0.2, 3.0, 0.3], [2]),
+        ([0.3, 0.2, 0.9, 0.3], []),  # below a pixel nobody cares
+        ([1.5, 2.0, 3.0, 1.4], []),  # all are noisy
+        ([np.nan, 0.4, 2.0], [2]),
+        ([np.nan, np.nan, 9.0], []),  # nobody to compare with
+        ([5.0], []),
+    ],
+)
+def test_a_camera_of_many_times_the_others_noise_is_named(residuals: list[float], named: list[int]) -> None:
+    assert np.flatnonzero(noisy(np.array(residuals))).tolist() == named
+    whole = said(np.ones((N, len(residuals))))
+    frames = [replace(frame, residuals=np.array(residuals)) for frame in whole]
+    sentences = remarks(Trajectory(frames, whole.camera_names, "m"))
+    assert [sentence.split()[0] for sentence in sentences] == [f"cam_{c}" for c in named]
+    assert all(f"{residuals[c]:.1f} px" in sentence for c, sentence in zip(named, sentences, strict=True))

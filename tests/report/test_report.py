@@ -467,6 +467,15 @@ def test_coasting_axes_are_pale_and_dashed(tmp_path: Path) -> None:
     assert not np.array_equal(coasting, writer.draw(blank(rig), frame_pose(4, None, cameras=3), [None] * 3, 0.3))
 
 
+def test_a_noisy_camera_is_not_green(tmp_path: Path) -> None:
+    rig = ring(3, 1)
+    with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
+        alike = writer.draw(blank(rig), replace(CENTERED, residuals=np.array([0.3, 0.3, 0.3])), [None] * 3, 0.3)
+        noisy = writer.draw(blank(rig), replace(CENTERED, residuals=np.array([0.3, 3.0, 0.3])), [None] * 3, 0.3)
+    assert n_painted(noisy, overlay.WARN) > n_painted(alike, overlay.WARN) + 8
+    assert n_painted(noisy, overlay.GOOD) < n_painted(alike, overlay.GOOD) - 8
+
+
 def test_overlay_of_several_objects(tmp_path: Path) -> None:
     rig = ring(3, 1)
     region = [np.array([[10.0, 10], [90, 10], [50, 80]])] * 3

@@ -206,7 +206,7 @@ def test_pixels_that_are_not_finite_are_refused() -> None:
 
 def test_matches_of_another_rig_are_refused() -> None:
     scene = CASES["two cameras"].make(0)
-    with pytest.raises(ValueError, match="2 sets for 3 cameras"):
+    with pytest.raises(ValueError, match="matches: 2 for 3 cameras"):
         estimate_motion(around(3), scene.matches)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.results import Trajectory
 
-__all__ = ["Disagreement", "disagreements", "remarks"]
+__all__ = ["Disagreement", "disagreements", "noisy", "remarks"]
 
 # A camera is doubted in a frame when what it says has so many times the variance that its matches give it, and so many
 # times that of the others' median: of two or three that contradict each other nobody knows which is wrong (measured:
@@ -27,6 +27,9 @@ AT_EASE = 12
 # ... unless another one is doubted in so many of these frames as well: where cameras take turns, all are calibrated a little
 # off (measured: board4, 0.2 and 0.4 of them; none where one was bumped into).
 IN_TURN = 0.15
+# A camera is noisy when its residuals are so many times the others' median, and so many pixels (choice: what blur, an
+# interlaced image or a lens that is off show; a board at a camera's rim has twice the others').
+NOISY, NOISY_PX = 4.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -72,11 +75,37 @@ def disagreements(trajectory: Trajectory) -> list[Disagreement]:
     return sorted(found, key=lambda d: (d.first, d.camera))
 
 
+def noisy(residuals: FloatArray) -> BoolArray:
+    """(C,) which cameras are far noisier than the others.
+
+    Args:
+        residuals: (C,) rms of their inliers, pixels; NaN without any.
+    """
+    out = np.zeros(len(residuals), bool)
+    for c in np.flatnonzero(residuals > NOISY_PX).tolist():
+        others = np.delete(residuals, c)
+        out[c] = np.isfinite(others).any() and residuals[c] > NOISY * np.nanmedian(others)
+    return out
+
+
+def _noises(trajectory: Trajectory) -> list[str]:
+    """A sentence for each camera that is noisy over all."""
+    frames = [f.residuals for f in trajectory if f.measured]
+    known = np.array(frames).reshape(-1, len(trajectory.camera_names))
+    usual = np.array([np.median(r[np.isfinite(r)]) if np.isfinite(r).any() else np.nan for r in known.T])
+    return [
+        f"{trajectory.camera_names[c]} is noisier than the others: {usual[c]:.1f} px, where they have "
+        f"{np.nanmedian(np.delete(usual, c)):.1f}: is it blurred, or its lens not as calibrated?"
+        for c in np.flatnonzero(noisy(usual)).tolist()
+    ]
+
+
 def remarks(trajectory: Trajectory) -> list[str]:
-    """What is to be said of the cameras: who disagreed, and the faults that were found, with in how many frames."""
+    """What is to be said of the cameras: who disagreed or is noisy, and the faults that were found, with in how many
+    frames."""
     faults = Counter(fault for frame in trajectory for fault in frame.faults)
     said = [f"{fault} (in {n} frame{'' if n == 1 else 's'})" for fault, n in faults.most_common()]
-    return [*(d.text for d in disagreements(trajectory)), *said]
+    return [*(d.text for d in disagreements(trajectory)), *_noises(trajectory), *said]
 
 
 def _doubted(doubt: FloatArray, camera: int) -> BoolArray:

@@ -18,7 +18,7 @@ from av.video.reformatter import Colorspace
 
 from sylpose.files import writing
 from sylpose.numerics.arrays import FloatArray, Image
-from sylpose.report.disagreement import DOUBTED
+from sylpose.report.disagreement import DOUBTED, noisy
 from sylpose.report.drawing import DARK, GREY, WHITE, draw_axes, draw_matches, in_colour, pen, polyline, write
 from sylpose.results import FramePose, FrameStatus, Observable
 from sylpose.rig import Camera, Rig
@@ -310,6 +310,8 @@ def _draw_caption(tile: Image, name: str, poses: Sequence[FramePose], i: int, ha
     color = GOOD if count else GREY
     if len(poses) == 1 and len(poses[0].doubt) and poses[0].doubt[i] > DOUBTED:
         details, color = f"{details}  doubted", WARN
+    elif len(poses) == 1 and noisy(poses[0].residuals)[i]:
+        details, color = f"{details}  noisy", WARN
     if all(pose.status is FrameStatus.FIRST for pose in poses):
         details = ""
     if not has_image:
