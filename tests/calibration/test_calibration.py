@@ -534,7 +534,11 @@ def test_bad_toml(bad: str, tmp_path: Path) -> None:
         ("a.json", '{"cameras": []}', "cameras: a rig needs at least one camera"),
         ("a.json", '{"cameras": [{"K": 1}]}', r"cameras\[0\] must be a map with a key 'name'"),
         ("a.json", '{"cameras": [3]}', r"cameras\[0\] must be a map"),
-        ("a.json", json.dumps({"cameras": [json_camera(name="a")] * 2}), "cameras: two cameras of the same name in a, a"),
+        (
+            "a.json",
+            json.dumps({"cameras": [json_camera(name="a")] * 2}),
+            "cameras: two cameras of the same name in a, a",
+        ),
         ("a.json", json.dumps({"unit": 3, "cam_0": json_camera()}), "unit must be a string"),
         ("a.json", json.dumps(json_camera()), "holds a single lens"),
         ("a.yml", "%YAML:1.0\n---\na: 1\na: 2\n", "'a' is there twice"),
