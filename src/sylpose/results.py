@@ -235,6 +235,9 @@ class FramePose:
         doubt: (C,) 1, or more for a camera that disagrees with the others: what it says has so many times the variance that
             its matches give it; infinite for one of whose matches next to none agree; NaN where it is not known.
         faults: a sentence for each camera that is recognised to be at fault.
+        matches: (C,) features per camera that match what is known of the object, the inliers among them; empty where that
+            is not known.
+        reason: why there is no pose, or none that was measured; "" where there is one.
     """
 
     index: int
@@ -247,6 +250,8 @@ class FramePose:
     observable: Observable = Observable.ALL
     doubt: FloatArray = field(default_factory=lambda: np.empty(0))
     faults: tuple[str, ...] = ()
+    matches: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    reason: str = ""
 
     @property
     def measured(self) -> bool:

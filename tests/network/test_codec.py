@@ -71,7 +71,7 @@ SAMPLES = [
     AGES,
     Chance(30, 20, 25, 1.25, 3),
     Known(SIGHTS, some(5)),
-    Agreed(9, 12, (0, 3), (1.5, 2.0), AGES, 8, 7, 6, 0.5, True, 5),
+    Agreed(9, 12, (0, 3), (1.5, 2.0), AGES, 8, 7, 6, 0.5, True, 5, 4, 0.25, 10),
     Recognised(some(6, 3), some(6, 2)),
     Stance(True, some(3), 0.01, 17, True),
     Seen(whole(4), whole(4), some(4, 2), whole(2), some(2, 3)),

@@ -476,6 +476,32 @@ def test_a_noisy_camera_is_not_green(tmp_path: Path) -> None:
     assert n_painted(noisy, overlay.GOOD) < n_painted(alike, overlay.GOOD) - 8
 
 
+def test_features_and_rejected_matches_are_drawn_without_a_pose_too(tmp_path: Path) -> None:
+    rig = ring(3, 1)
+    looked_at = [(np.array([[20.0, 30], [40, 30]]), np.array([[60.0, 40]]))] * 3
+    lost = replace(frame_pose(4, None, cameras=3), reason="4 of 300 features match what is known of the object")
+    with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
+        without = writer.draw_objects(blank(rig), [Shown("", lost, [None] * 3, 0.3)])
+        drawn = writer.draw_objects(blank(rig), [Shown("", lost, [None] * 3, 0.3, looked_at=looked_at)])
+        with pytest.raises(ValueError, match="3 looked_at"):
+            writer.draw_objects(blank(rig), [Shown("", lost, [None] * 3, 0.3, looked_at=looked_at[:1])])
+    assert n_painted(drawn, overlay.REJECTED) > n_painted(without, overlay.REJECTED)
+    changed = (drawn != without).any(axis=2).sum()
+    assert 3 * 20 < changed < 3 * 600
+
+
+def test_why_there_is_no_pose_is_in_the_files(tmp_path: Path) -> None:
+    seen = replace(frame_pose(0, RigidTransform.identity(), cameras=2), matches=np.array([30, 40]))
+    lost = replace(frame_pose(1, None, cameras=2), matches=np.array([3, 0]), reason='3 of 90 features, "known"; gone')
+    with TrajectoryWriter(tmp_path, ("a", "b")) as writer:
+        writer.write(seen)
+        writer.write(lost)
+        writer.write(frame_pose(2, None, cameras=2))
+    back = read_trajectory(tmp_path / "trajectory.csv")
+    assert [f.reason for f in back] == ["", lost.reason, ""]
+    assert [list(f.matches) for f in back] == [[30, 40], [3, 0], []]
+
+
 def test_overlay_of_several_objects(tmp_path: Path) -> None:
     rig = ring(3, 1)
     region = [np.array([[10.0, 10], [90, 10], [50, 80]])] * 3

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.results import FrameStatus
+from sylpose.tracking.tracked_frame import why_none
 from sylpose.tracking.tracker import track
 from tests.clips import (
     HALF_DEGREE,
@@ -123,3 +126,49 @@ def test_a_jump(steady: int) -> None:
     error = errors(tracked, clip.truth)
     assert error[:, 0].max() < HALF_DEGREE
     assert error[:, 1].max() < 2
+
+
+def test_why_a_frame_has_no_pose() -> None:
+    rig = moving_scene(drifting, 1).rig
+    clip = Clip.render(moving_scene(drifting, 12, [board_before(camera, 7, 9) for camera in rig]))
+    tracked = list(track(clip.frames(), clip.rig, clip.boxes))
+    for frame in tracked:
+        pose, sought = frame.pose, frame.sought
+        if pose.status is FrameStatus.FIRST:
+            assert not pose.reason
+            continue
+        # What is drawn is what was counted.
+        assert [len(camera.rejected) for camera in sought] == list(pose.matches - pose.inliers)
+        assert all(len(camera.features) >= n for camera, n in zip(sought, pose.matches, strict=True))
+        assert bool(pose.reason) == (not pose.measured)
+    hidden = tracked[8].pose
+    assert hidden.reason == why_none(
+        hidden.status, sum(len(camera.features) for camera in tracked[8].sought), int(hidden.matches.sum())
+    )
+    assert "match" in hidden.reason or "feature" in hidden.reason
+
+
+def test_nothing_to_be_seen_is_said_as_such() -> None:
+    clip = Clip.render(moving_scene(drifting, 8))
+    frames = clip.frames()
+    blank = [
+        replace(f, images=tuple(np.full_like(image, 90) for image in f.images if image is not None)) for f in frames[5:]
+    ]
+    tracked = list(track([*frames[:5], *blank], clip.rig, clip.boxes))
+    assert {f.pose.reason for f in tracked[5:]} == {"0 features where it was looked for, in all cameras together"}
+    assert all(len(camera.features) == len(camera.rejected) == 0 for f in tracked[5:] for camera in f.sought)
+
+
+@pytest.mark.parametrize(
+    ("status", "features", "matches", "said"),
+    [
+        (FrameStatus.LOST, 1, 0, "1 feature where it was looked for, in all cameras together"),
+        (FrameStatus.LOST, 300, 4, "4 of 300 features match what is known of the object"),
+        (FrameStatus.COASTING, 300, 40, "no pose agrees with enough of the 40 matches among 300 features"),
+        (FrameStatus.NO_MOTION, 300, 0, "300 features, too few of which moved, or by too little"),
+        (FrameStatus.NOT_CONSISTENT, 300, 0, "300 features; what moved was no rigid body, or not for long"),
+        (FrameStatus.ONLY_STILL, 300, 40, "what agrees with a pose stands still and was never seen to move"),
+    ],
+)
+def test_reasons(status: FrameStatus, features: int, matches: int, said: str) -> None:
+    assert why_none(status, features, matches) == said

@@ -179,14 +179,20 @@ class Overlay:
         from sylpose.report.overlay import Shown, object_color
 
         images = next(iter(frame.values())).frames.images
-        if len(self._names) == 1:
-            t = frame[self._names[0]]
-            return self._writer.write(images, t.pose, t.matches, t.radius, t.regions)
+        one = len(self._names) == 1
         shown = [
-            Shown(name, t.pose, t.matches, t.radius, t.regions, object_color(self._names.index(name)))
+            Shown(
+                "" if one else name,
+                t.pose,
+                t.matches,
+                t.radius,
+                t.regions,
+                None if one else object_color(self._names.index(name)),
+                [(sought.features, sought.rejected) for sought in t.sought],
+            )
             for name, t in sorted(frame.items(), key=lambda item: self._names.index(item[0]))
         ]
-        return self._writer.write_objects(images, shown)
+        self._writer.write_objects(images, shown)
 
     def close(self) -> None:
         """Finishes the video."""

@@ -7,6 +7,7 @@ import sys
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,6 +45,7 @@ __all__ = [
 ]
 
 SHOWN_WARNINGS = 12
+MOST_STRETCHES = 4  # of frames that were not found, of which it is said why
 LABEL = 14
 
 
@@ -180,7 +182,7 @@ class TrackingProgress:
         self._updates += 1
         pose = tracked.pose
         measured = pose.measured and pose.status is not FrameStatus.FIRST
-        inliers = f"{int(pose.inliers.sum())} inliers" if measured else pose.status.value
+        inliers = f"{int(pose.inliers.sum())} inliers" if measured else pose.reason or pose.status.value
         elapsed = self._progress.tasks[0].elapsed
         rate = f"{self.tracked / elapsed:.1f} frames/s" if elapsed else ""
         self._progress.update(self._task, completed=self.done, rate=rate, inliers=inliers)
@@ -223,6 +225,7 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
     said = f"{found} of {len(trajectory)} frames" + (f" ({again} relocalised)" if again else "")
     rest = Counter(f.status for f in trajectory if not f.measured)
     facts = [("Tracked", ", ".join([said, *(f"{status.value} {n}" for status, n in rest.most_common())]))]
+    facts += [("" if k else "Not found", said) for k, said in enumerate(_why_not(trajectory))]
     if found < 2:
         return facts
     turn = np.degrees(trajectory.turn[trajectory.solved])
@@ -244,6 +247,21 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
         )
     facts += [("" if k else "Cameras", remark) for k, remark in enumerate(remarks(trajectory))]
     return facts
+
+
+def _why_not(trajectory: Trajectory) -> list[str]:
+    """For the longest stretches of frames that were not found, why their first was not."""
+    stretches = [list(group) for missed, group in groupby(trajectory, lambda f: bool(f.reason)) if missed]
+    longest = sorted(sorted(stretches, key=len, reverse=True)[:MOST_STRETCHES], key=lambda group: group[0].index)
+    said = []
+    for group in longest:
+        first, last = group[0].index, group[-1].index
+        said.append(
+            f"frame {first}: {group[0].reason}" if first == last else f"frames {first} to {last}: {group[0].reason}"
+        )
+    if (rest := len(stretches) - len(longest)) > 0:
+        said.append(f"and {rest} shorter stretch{'es' if rest > 1 else ''}: see the column reason of trajectory.csv")
+    return said
 
 
 def _per_camera(trajectory: Trajectory) -> list[list[str]]:

@@ -60,7 +60,9 @@ def _is_sound(one: object, camera: int) -> bool:
             return _is_sound(one.sights, camera)
         case Agreed():
             return (
-                _is_sound(one.ages, camera) and len(one.references) == len(one.weights) and one.strong <= one.features
+                _is_sound(one.ages, camera)
+                and len(one.references) == len(one.weights)
+                and one.strong <= one.features <= one.tried_features
             )
         case Ages():
             return bool(one.counts.sum() < MOST)

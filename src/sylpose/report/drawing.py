@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.numerics.arrays import FloatArray, Image
+from sylpose.numerics.arrays import FloatArray, Image, IntArray
 from sylpose.rig import Camera
 
 __all__ = [
@@ -17,6 +17,8 @@ __all__ = [
     "GREY",
     "WHITE",
     "draw_axes",
+    "draw_crosses",
+    "draw_dots",
     "draw_matches",
     "in_colour",
     "pen",
@@ -47,6 +49,26 @@ def draw_matches(tile: Image, pair: Matches, scale: float, text: float, trail: C
     for point in np.round(now * 2**SHIFT).astype(int):
         cv2.circle(layer, (int(point[0]), int(point[1])), radius, dot, -1, cv2.LINE_AA, SHIFT)
     cv2.addWeighted(layer, 0.75, tile, 0.25, 0, dst=tile)
+
+
+def draw_dots(tile: Image, pixels: FloatArray, scale: float, text: float, color: Color) -> None:
+    """Small dots at pixels (n, 2), half transparent."""
+    layer, radius = tile.copy(), round(max(1.0, 1.3 * text) * 2**SHIFT)
+    for x, y in _fixed(pixels, scale):
+        cv2.circle(layer, (int(x), int(y)), radius, color, -1, cv2.LINE_AA, SHIFT)
+    cv2.addWeighted(layer, 0.6, tile, 0.4, 0, dst=tile)
+
+
+def draw_crosses(tile: Image, pixels: FloatArray, scale: float, text: float, color: Color) -> None:
+    """Small crosses at pixels (n, 2)."""
+    arm = round(max(2.5, 3.2 * text) * 2**SHIFT)
+    lines = [[(x - arm, y + s * arm), (x + arm, y - s * arm)] for x, y in _fixed(pixels, scale) for s in (-1, 1)]
+    cv2.polylines(tile, [np.array(line, np.int32) for line in lines], False, color, 1, cv2.LINE_AA, SHIFT)
+
+
+def _fixed(pixels: FloatArray, scale: float) -> IntArray:
+    """Pixels (n, 2) of the image as OpenCV's fixed-point numbers of a tile that is `scale` times as large."""
+    return np.asarray(np.round(((pixels + 0.5) * scale - 0.5) * 2**SHIFT), np.int64)
 
 
 def draw_axes(

@@ -57,7 +57,8 @@ class TrajectoryWriter:
     `trajectory.tum` has the frames in which the object was found: `time tx ty tz qx qy qz qw`, world_from_object.
     `trajectory.csv` has all frames: also status, the calibration's length unit, pan, tilt, roll in degrees, the standard
     deviations (rotation about the world's x, y, z in degrees, then position), per camera `inliers_NAME`,
-    `residual_px_NAME` and `doubt_NAME`, and faults of cameras. A cell is empty where there is no value; for a standard
+    `residual_px_NAME`, `doubt_NAME` and `matches_NAME`, faults of cameras, and why a frame has no pose. A cell is empty
+    where there is no value; for a standard
     deviation that means unbounded.
 
     Args:
@@ -91,13 +92,13 @@ class TrajectoryWriter:
         self.csv_path = folder / f"{stem}.csv"
         self._quaternion = None if resume is None else resume.quaternion
         self._last = -1  # the number of the last frame
-        per_camera = [f"{what}_{n}" for what in ("inliers", "residual_px", "doubt") for n in camera_names]
+        per_camera = [f"{what}_{n}" for what in ("inliers", "residual_px", "doubt", "matches") for n in camera_names]
         self._tum = _open(self.tum_path, None if resume is None else resume.tum_bytes)
         try:
             self._csv = _open(self.csv_path, None if resume is None else resume.csv_bytes)
             if resume is None or not resume.csv_bytes:
                 self._put(self._tum, self.tum_path, _tum_header(unit, world))
-                self._put(self._csv, self.csv_path, _csv_line([*_COLUMNS, *per_camera, "faults"]))
+                self._put(self._csv, self.csv_path, _csv_line([*_COLUMNS, *per_camera, "faults", "reason"]))
         except (OSError, ValueError):
             self.close()
             raise
@@ -159,7 +160,9 @@ class TrajectoryWriter:
         cells += [_cell(v, 9) for v in np.degrees(pose.pan_tilt_roll)]
         cells += [_cell(v, 6) for v in pose.sigma / _SD_TO_RADIANS]
         cells += [str(int(count)) for count in pose.inliers] + [_cell(v, 6) for v in pose.residuals]
-        cells += ["inf" if np.isinf(v) else _cell(v, 4) for v in doubt] + ["; ".join(pose.faults)]
+        cells += ["inf" if np.isinf(v) else _cell(v, 4) for v in doubt]
+        cells += [str(int(count)) for count in pose.matches] if len(pose.matches) else [""] * n
+        cells += ["; ".join(pose.faults), pose.reason]
         # The richer file first: with an interrupt in between, the frame is in the file that has everything.
         self._put(self._csv, self.csv_path, _csv_line(cells))
         if pose.measured:
@@ -259,6 +262,8 @@ def _frame(cells: dict[str, str], names: Sequence[str]) -> FramePose:
         observable=Observable(cells.get("observable", Observable.ALL.value)) if status_only else Observable.NO_SCALE,
         doubt=numbers([f"doubt_{name}" for name in names if f"doubt_{name}" in cells], np.nan),
         faults=tuple(cells["faults"].split("; ")) if cells.get("faults") else (),
+        matches=np.array([int(cell) for name in names if (cell := cells.get(f"matches_{name}"))], dtype=np.int64),
+        reason=cells.get("reason", ""),
     )
 
 

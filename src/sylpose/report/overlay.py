@@ -19,7 +19,19 @@ from av.video.reformatter import Colorspace
 from sylpose.files import writing
 from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.report.disagreement import DOUBTED, noisy
-from sylpose.report.drawing import DARK, GREY, WHITE, draw_axes, draw_matches, in_colour, pen, polyline, write
+from sylpose.report.drawing import (
+    DARK,
+    GREY,
+    WHITE,
+    draw_axes,
+    draw_crosses,
+    draw_dots,
+    draw_matches,
+    in_colour,
+    pen,
+    polyline,
+    write,
+)
 from sylpose.results import FramePose, FrameStatus, Observable
 from sylpose.rig import Camera, Rig
 
@@ -27,6 +39,7 @@ __all__ = ["OverlayWriter", "Shown", "object_color"]
 
 Color = tuple[int, int, int]
 Matches = tuple[FloatArray, FloatArray]
+LookedAt = tuple[FloatArray, FloatArray]
 
 # In the order of preference; the last is in every build of FFmpeg. None delays frames: no B-frames, no look-ahead.
 ENCODERS: tuple[tuple[str, dict[str, str]], ...] = (
@@ -45,6 +58,7 @@ OBJECT_COLORS: tuple[Color, ...] = (
     (80, 165, 255),
     (255, 150, 180),
 )
+FEATURE, REJECTED = (190, 180, 175), (110, 110, 255)
 GOOD, WARN, BAD = (120, 220, 120), (60, 190, 255), (90, 90, 255)
 
 GAP = 4  # pixels between tiles
@@ -62,6 +76,8 @@ class Shown:
         axis_length: of the object's axes, in the calibration's unit.
         regions: per camera the corners (n, 2) of the object's region in pixels, or None; empty for no regions.
         color: BGR of its name, matches and region, to tell it from other objects; None for the usual ones.
+        looked_at: per camera, pixels: (n, 2) the features that were looked at, (m, 2) those whose matches were rejected;
+            empty where that is not drawn.
     """
 
     name: str
@@ -70,6 +86,7 @@ class Shown:
     axis_length: float
     regions: Sequence[FloatArray | None] = ()
     color: Color | None = None
+    looked_at: Sequence[LookedAt] = ()
 
 
 class OverlayWriter:
@@ -208,6 +225,7 @@ class OverlayWriter:
         for shown in objects:
             self._check("matches", shown.matches)
             self._check("regions", shown.regions or [None] * n)
+            self._check("looked_at", shown.looked_at or [None] * n)
         layout = self._layout
         picture = np.full((layout.size[1], layout.size[0], 3), DARK, np.uint8)
         _draw_bar(picture[: layout.bar], objects, self.rig.unit)
@@ -292,6 +310,10 @@ def _draw_object(tile: Image, camera: Camera, i: int, shown: Shown, text: float)
     region, pair, pose = (shown.regions or [None] * (i + 1))[i], shown.matches[i], shown.pose
     if region is not None and len(region):
         polyline(tile, (region + 0.5) * scale - 0.5, color or REGION, 1, closed=True)
+    if shown.looked_at:
+        features, rejected = shown.looked_at[i]
+        draw_dots(tile, features, scale, text, FEATURE)
+        draw_crosses(tile, rejected, scale, text, REJECTED)
     if pair is not None:
         draw_matches(tile, pair, scale, text, color or TRAIL, color or DOT)
     if pose.world_from_object is not None:
@@ -304,7 +326,8 @@ def _draw_object(tile: Image, camera: Camera, i: int, shown: Shown, text: float)
 def _draw_caption(tile: Image, name: str, poses: Sequence[FramePose], i: int, has_image: bool, text: float) -> None:
     """Camera name, inliers and residual on a dark ground in the corner; "no frame" in the middle of an empty tile."""
     count = sum(int(pose.inliers[i]) for pose in poses)
-    details = f"{count} inlier{'' if count == 1 else 's'}"
+    tried = sum(int(pose.matches[i]) for pose in poses if len(pose.matches))
+    details = f"{count} of {tried} matches" if tried else f"{count} inlier{'' if count == 1 else 's'}"
     if count and len(poses) == 1 and np.isfinite(poses[0].residuals[i]):
         details += f"  {float(poses[0].residuals[i]):.2f} px"
     color = GOOD if count else GREY
@@ -346,8 +369,8 @@ def _draw_bar(bar: Image, objects: Sequence[Shown], unit: str) -> None:
         x += write(bar, text, (x, y), size, color) + height * gap
     if any(shown.name for shown in objects):
         return
-    texts = [pose.status.text]
-    if pose.world_from_object is not None:
+    texts = [f"{pose.reason[:1].upper()}{pose.reason[1:]}.", pose.reason] if pose.reason else [pose.status.text]
+    if pose.world_from_object is not None and not pose.reason:
         pan, tilt, roll = np.degrees(pose.pan_tilt_roll)
         angles = f"pan {pan:+.1f}  tilt {tilt:+.1f}  roll {roll:+.1f} deg"
         # To a hundredth or so of the object's size.

@@ -24,6 +24,7 @@ from sylpose.tracking.frame import (
     CameraFrame,
     Pair,
     SolvedFrame,
+    Sought,
     away,
     inliers_of,
     learn_background,
@@ -147,6 +148,7 @@ class CameraPart:
         noise_px: of its keypoints, as the frames so far have it.
         view: image and mask of the last solved frame, until all is found in it that there is.
         watch: whether it stands, whatever becomes of the object.
+        sought: what it looked at last, in the present frame.
     """
 
     def __init__(self, index: int, camera: Camera) -> None:
@@ -159,6 +161,7 @@ class CameraPart:
         self.noise_px = 0.0
         self.view: View = (None, None)
         self.watch = Watch(camera)
+        self.sought = Sought()
 
     @property
     def still_px(self) -> float:
@@ -360,6 +363,10 @@ class CameraPart:
         of_anchor = () if anchor is None else (anchor.tracks, anchor.image, anchor.frame.features)
         features = (self.surroundings, *(frame.features for frame in self.frames.values()))
         return [self.camera, self.view, self.renewal, watch.backdrop, watch.steady, *of_anchor, *features]
+
+    def look_anew(self) -> None:
+        """Another frame: nothing was looked at in it yet."""
+        self.sought = Sought()
 
     def forget(self) -> None:
         """Everything: the object is looked for anew."""

@@ -25,7 +25,7 @@ from sylpose.tracking.anchor import FEATURES as ANCHOR_FEATURES
 from sylpose.tracking.anchor import SOON, Followed, suffices, with_new
 from sylpose.tracking.camera import have_moved
 from sylpose.tracking.crew import Crew
-from sylpose.tracking.frame import CameraFrame, Frame, Pair, inliers_of, still, without_background
+from sylpose.tracking.frame import CameraFrame, Frame, Pair, Sought, inliers_of, still, without_background
 from sylpose.tracking.frame_solvers import Agreement, Problem, Solution
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import references_of, viewpoints
@@ -181,6 +181,7 @@ def matched(
         if anew:
             references = [*([] if last is None else [last]), *references_of(joint.keyframes, c, here[c], last)]
             pairs += team.parts[c].match(frame.cameras[c], [reference.number for reference in references])
+        team.parts[c].sought = Sought.of(frame.cameras[c].features, pairs)
         return pairs
 
     pairs = team.crew.each(of, long=anew)
@@ -300,6 +301,7 @@ def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -
         strong=_different(indices[~current.features.faint[indices]]),
         noise_px=noise_of(np.sqrt(squares)),
         moving=_different(indices[moves]),
+        tried_features=_different(tried),
     )
 
 
@@ -331,7 +333,10 @@ def recognised_anywhere(team: Team, joint: Joint, frame: Frame, *, faint: bool =
     def of(c: int) -> Recognised:
         part = team.parts[c]
         tried = to_try(joint.keyframes, c, joint.base, joint.missed)
-        return recognised([part.frames[k.number] for k in tried], frame.cameras[c], joint.object.radius, ratio)
+        own = recognised([part.frames[k.number] for k in tried], frame.cameras[c], joint.object.radius, ratio)
+        if not len(part.sought.rejected):
+            part.sought = Sought(frame.cameras[c].features.pixels, own.pixels)
+        return own
 
     found = team.crew.each(of, long=True)
     return pose_of(team.rig, team.crew.ask(lambda c: found[c], Recognised.none()))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -21,6 +22,7 @@ __all__ = [
     "Frame",
     "Pair",
     "SolvedFrame",
+    "Sought",
     "away",
     "inliers_of",
     "learn_background",
@@ -164,6 +166,25 @@ class Pair:
         """
         x, y = self.normalized_i, self.normalized_j
         return TermData(index, x, y, camera.rotation, camera.center, camera.focal, moved)
+
+
+@dataclass(frozen=True, eq=False)
+class Sought:
+    """What a camera looked at in a frame, pixels: (n, 2) all features, and (m, 2) those that match what is known of the
+    object and do not agree with its pose, or are of no pose."""
+
+    features: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    rejected: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+
+    @classmethod
+    def of(cls, features: Features, pairs: Sequence[Pair] = (), weights: Sequence[FloatArray] | None = None) -> Self:
+        """A frame's features, its matches, and the weight (n,) of each pair's in the pose; None without one."""
+        tried, agrees = np.zeros(len(features), bool), np.zeros(len(features), bool)
+        for k, pair in enumerate(pairs):
+            tried[pair.indices[:, 1]] = True
+            if weights is not None:
+                agrees[pair.indices[weights[k] > 0, 1]] = True
+        return cls(features.pixels, features.pixels[tried & ~agrees])
 
 
 def base_from_reference(pair: Pair, base: SolvedFrame, known: Mapping[int, SolvedFrame]) -> RigidTransform | None:

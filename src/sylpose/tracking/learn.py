@@ -16,7 +16,7 @@ from sylpose.results import FramePose, FrameStatus, Observable, Status
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.camera import SeenAgain
 from sylpose.tracking.find import Found, on_the_move
-from sylpose.tracking.frame import Frame, Pair, SolvedFrame, learn_only, triangulate
+from sylpose.tracking.frame import Frame, Pair, SolvedFrame, Sought, learn_only, triangulate
 from sylpose.tracking.joint import Joint, covariance_with_references
 from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.records import placed, total_ages
@@ -144,7 +144,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         after = replace(after, anchor=Anchor(solved, few=joint.object.bounded and after_first))
     kept = set(after.known)
 
-    def learn(c: int) -> tuple[tuple[FloatArray, FloatArray] | None, Sightings]:
+    def learn(c: int) -> tuple[tuple[FloatArray, FloatArray] | None, Sightings, Sought]:
         part, current = parts[c], frame.cameras[c]
         followed = None if found.followed is None else found.followed[c]
         part.learn(current, found.rig.cameras[c], pose, seen[c], model.points, radius)
@@ -157,7 +157,8 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         if begins:
             part.anchor_at(frame.number, frames.images[c], None if silent[c] else followed)
         before = None if followed is None else followed.before
-        return shown(seen[c].inliers, current, base.number, before), sightings(seen[c].inliers, current)
+        sought = Sought.of(current.features, found.pairs[c], [w for w, _ in solution.agreement[c]])
+        return shown(seen[c].inliers, current, base.number, before), sightings(seen[c].inliers, current), sought
 
     learnt = crew.each(learn, long=found.anew)
     if team.refines and is_due(after):
@@ -175,10 +176,19 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         Observable.NO_SCALE if len(team.rig) == 1 else observable,
         doubt,
         solution.faults,
+        np.array([a.tried_features for a in found.agreed], np.int64),
     )
     matches, seen_now = crew.each(lambda c: learnt[c][0]), crew.each(lambda c: learnt[c][1])
+    sought = crew.each(lambda c: learnt[c][2])
     return replace(after, last=last), TrackedFrame(
-        result.judged(), frames, tuple(matches), tuple(found.regions), model.radius, tuple(seen_now), frame.late
+        result.judged(),
+        frames,
+        tuple(matches),
+        tuple(found.regions),
+        model.radius,
+        tuple(seen_now),
+        frame.late,
+        sought=tuple(sought),
     )
 
 
@@ -210,7 +220,7 @@ def _doubt(found: Found) -> FloatArray:
 
 
 def not_found(
-    joint: Joint, frames: FrameSet, ahead: RigidTransform, regions: Sequence[Region]
+    team: Team, joint: Joint, frames: FrameSet, ahead: RigidTransform, regions: Sequence[Region]
 ) -> tuple[Joint, TrackedFrame]:
     """A frame in which the object was not found: it is taken to have gone on as before, until that says nothing. Where all
     that agrees with a pose stands still and never moved, nothing is said of it.
@@ -221,11 +231,12 @@ def not_found(
     """
     only_still = joint.only_still
     joint, covariance = joint.without(frames.time)
+    sought, radius = team.crew.each(lambda c: team.parts[c].sought), joint.object.radius
     if only_still:
-        return joint, unsolved_frame(frames, FrameStatus.ONLY_STILL, regions, joint.object.radius)
+        return joint, unsolved_frame(team, frames, FrameStatus.ONLY_STILL, sought, regions, radius)
     if joint.lost:
-        return joint, unsolved_frame(frames, FrameStatus.LOST, regions, joint.object.radius)
-    return joint, unsolved_frame(frames, FrameStatus.COASTING, regions, joint.object.radius, ahead, covariance)
+        return joint, unsolved_frame(team, frames, FrameStatus.LOST, sought, regions, radius)
+    return joint, unsolved_frame(team, frames, FrameStatus.COASTING, sought, regions, radius, ahead, covariance)
 
 
 def told_by_matches(

@@ -10,14 +10,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sylpose.features.sift import Features
 from sylpose.landmarks.places import Landmarks
 from sylpose.numerics.arrays import BoolArray
 from sylpose.tracking.frame import CameraFrame, Frame, Pair, away
 from sylpose.tracking.joint import MIN_MOVED, Joint
 from sylpose.tracking.records import Middle
-from sylpose.tracking.team import Team
+from sylpose.tracking.team import Region, Team
 
-__all__ = ["middle_stands", "still_ones"]
+__all__ = ["in_the_middle", "middle_stands", "still_ones"]
 
 # The middle of a box is this share of its width and height (choice).
 MIDDLE = 0.5
@@ -55,6 +56,14 @@ def middle_stands(team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequen
     seeing = [middle for middle in told if middle.seen >= MIN_MOVED]
     least = STANDS * float(np.median(moving)) if moving else 0.0
     return 2 * sum(middle.still and middle.middle_px < least for middle in seeing) > len(seeing)
+
+
+def in_the_middle(team: Team, c: int, features: Features, region: Region) -> int:
+    """How many of a camera's features are in the middle of the object's region."""
+    if region is None:
+        return 0
+    middle = region.mean(axis=0)
+    return int(team.parts[c].inside(features, middle + MIDDLE * (region - middle)).sum())
 
 
 def still_ones(team: Team, frame: Frame, pairs: Sequence[Sequence[Pair]]) -> list[list[Pair]]:

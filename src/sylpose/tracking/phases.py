@@ -32,14 +32,14 @@ from sylpose.tracking.find import (
 from sylpose.tracking.frame import Frame, Pair, match_pair, standing
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.learn import accept_first, accepted, first_points, not_found, told_by_matches
-from sylpose.tracking.middle import middle_stands, still_ones
+from sylpose.tracking.middle import in_the_middle, middle_stands, still_ones
 from sylpose.tracking.nudges import steadied, with_nudges
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.records import placed
 from sylpose.tracking.start import FirstMotion, agree, first_motion, is_ambiguous, jitter_of
 from sylpose.tracking.team import MAX_GROWTH, REGION_GROWTH, Region, Team, features_of, regions_of, split
 from sylpose.tracking.thorough import is_doubtful, searched
-from sylpose.tracking.tracked_frame import TrackedFrame, unsolved_frame
+from sylpose.tracking.tracked_frame import TrackedFrame, looks, unsolved_frame
 from sylpose.tracking.velocity import Velocity
 from sylpose.tracking.window import finished
 from sylpose.two_frames.fit import MIN_MATCHES
@@ -62,9 +62,9 @@ AMBIGUOUS = (
     "Without boxes, what moves most is tracked; something else moved nearly as much. Boxes or masks of the object would "
     "tell which of the two it is."
 )
-# Where boxes have fewer features than this in their middle, of half their width and height, in the mean over the cameras,
-# faint ones are asked for as well: at the rim most may be background (choice).
-MIDDLE, FEW_AT_FIRST = 0.5, 40
+# Where boxes have fewer features than this in their middle, in the mean over the cameras, faint ones are asked for as well:
+# at the rim most may be background (choice).
+FEW_AT_FIRST = 40
 # Features per camera while the object may be anywhere in the image (choice).
 START_FEATURES = 4000
 
@@ -82,6 +82,7 @@ def next_frame(
 ) -> tuple[Joint, Sequence[Waiting], list[TrackedFrame]]:
     """The next frame, on whichever way it has to go; see `start`."""
     joint, frames = steadied(team, joint, frames)
+    team.crew.each(lambda c: team.parts[c].look_anew())
     joint = finished(team, joint, number)
     if joint.last is None:
         joint, waiting, decided = start(team, joint, waiting, number, frames)
@@ -117,7 +118,7 @@ def steady(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joi
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
     if found is None:
-        return not_found(joint, frames, ahead, regions)
+        return not_found(team, joint, frames, ahead, regions)
     joint, tracked = accepted(team, joint, frames, found)
     if soon and not found.anew and renewal.wants(joint):
         joint = renewal.begun(team, joint, frames, found)
@@ -155,7 +156,7 @@ def recover(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Jo
                 joint, found = _confirmed(team, joint, number, frames, features, pose)
     if found is None:
         joint, found = _found_anywhere(team, joint, number, frames)
-    return not_found(joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
+    return not_found(team, joint, frames, ahead, regions) if found is None else accepted(team, joint, frames, found)
 
 
 def asks_first(joint: Joint, number: int) -> bool:
@@ -245,11 +246,15 @@ def start(
     if model.center is not None:
         regions = regions_of(team, joint, RigidTransform.from_translation(model.center))
         features = team.detect(frames, regions, MAX_FEATURES)
-        middle = sum(team.crew.ask(lambda c: _in_the_middle(team, c, features[c], regions[c]), 0))
+        middle = sum(team.crew.ask(lambda c: in_the_middle(team, c, features[c], regions[c]), 0))
         joint = replace(joint, starves=middle < FEW_AT_FIRST * len(team.rig))
         seen = team.detect(frames, regions, faint=True) if joint.starves else features
         if sum(team.crew.ask(lambda c: len(seen[c]), 0)) < MIN_MATCHES:
-            return joint, [], [unsolved_frame(frames, FrameStatus.TOO_FEW_MATCHES, regions, model.radius)]
+            return (
+                joint,
+                [],
+                [unsolved_frame(team, frames, FrameStatus.TOO_FEW_MATCHES, looks(team, seen), regions, model.radius)],
+            )
         around = team.detect(frames, regions, MAX_FEATURES, around=True, faint=joint.starves)
         frame = team.frame(number, frames, seen)
         joint, first = accept_first(team, joint, frames, frame, around, model.center, regions)
@@ -257,7 +262,7 @@ def start(
     features = team.detect(frames, None, START_FEATURES)
     if not waiting and sum(team.crew.ask(lambda c: len(features[c]), 0)) < MIN_MATCHES:
         # Later ones need something to be compared with.
-        return joint, [], [unsolved_frame(frames, FrameStatus.TOO_FEW_MATCHES)]
+        return joint, [], [unsolved_frame(team, frames, FrameStatus.TOO_FEW_MATCHES, looks(team, features))]
     waiting = [*waiting, Waiting(team.frame(number, frames, features), frames)]
     status = FrameStatus.NO_MOTION
     if len(waiting) > 1:
@@ -274,15 +279,11 @@ def start(
         return joint, _lighter(waiting), []
     # What the others have moved by since then is not known.
     others = [waited._replace(motion=None) for waited in waiting[1:]]
-    return joint, others, [unsolved_frame(waiting[0].frames, status)]
+    return joint, others, [_waited_in_vain(team, waiting[0], status)]
 
 
-def _in_the_middle(team: Team, c: int, features: Features, region: Region) -> int:
-    """How many of a camera's features are in the middle of the object's region."""
-    if region is None:
-        return 0
-    middle = region.mean(axis=0)
-    return int(team.parts[c].inside(features, middle + MIDDLE * (region - middle)).sum())
+def _waited_in_vain(team: Team, waited: Waiting, status: FrameStatus) -> TrackedFrame:
+    return unsolved_frame(team, waited.frames, status, looks(team, features_of(team, waited.frame.cameras)))
 
 
 def finish(team: Team, waiting: Sequence[Waiting]) -> list[TrackedFrame]:
@@ -294,7 +295,7 @@ def finish(team: Team, waiting: Sequence[Waiting]) -> list[TrackedFrame]:
         if begun is not None:
             return begun[1]
         status = found.nothing
-    return [unsolved_frame(waited.frames, status) for waited in waiting]
+    return [_waited_in_vain(team, waited, status) for waited in waiting]
 
 
 def _lighter(waiting: Sequence[Waiting]) -> list[Waiting]:
@@ -394,5 +395,5 @@ def _solved_later(team: Team, joint: Joint, waited: Waiting, pose: RigidTransfor
     inside, _ = split(team, features_of(team, waited.frame.cameras), regions)
     joint, found = _found(team, joint, team.frame(waited.frame.number, waited.frames, inside), pose, regions)
     if found is None:
-        return not_found(joint, waited.frames, pose, regions)
+        return not_found(team, joint, waited.frames, pose, regions)
     return accepted(team, joint, waited.frames, found)

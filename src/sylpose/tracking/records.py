@@ -184,6 +184,7 @@ class Agreed:
         sees: whether the frame has any feature of this camera.
         strong: number of features that are inliers and not faint.
         noise_px: standard deviation of the inliers' residuals, whatever a few of them are; NaN without any.
+        tried_features: number of features that have matches, inliers or not.
     """
 
     matches: int
@@ -199,6 +200,7 @@ class Agreed:
     moving: int = 0
     strong: int = 0
     noise_px: float = np.nan
+    tried_features: int = 0
 
     @classmethod
     def none(cls) -> Agreed:

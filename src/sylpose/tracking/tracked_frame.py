@@ -8,13 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import FramePose, FrameStatus
-from sylpose.tracking.frame import CameraFrame, Pair
+from sylpose.tracking.frame import CameraFrame, Pair, Sought
 from sylpose.tracking.joint import Nudge
+from sylpose.tracking.team import Team
+from sylpose.two_frames.fit import MIN_MATCHES
 
-__all__ = ["Sightings", "TrackedFrame", "shown", "sightings", "unsolved_frame"]
+__all__ = ["Sightings", "TrackedFrame", "looks", "shown", "sightings", "unsolved_frame", "why_none"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +52,7 @@ class TrackedFrame:
         late: (C,) seconds after `frames.time` at which each camera saw it.
         note: a sentence, where there is something to be said of this frame.
         nudges: of cameras up to now, in order of time; from each on that camera's images are turned back.
+        sought: per camera what it looked at; empty in the first frame.
     """
 
     pose: FramePose
@@ -60,6 +64,7 @@ class TrackedFrame:
     late: FloatArray = field(default_factory=lambda: np.empty(0))
     note: str = ""
     nudges: tuple[Nudge, ...] = ()
+    sought: tuple[Sought, ...] = ()
 
 
 def shown(
@@ -90,17 +95,61 @@ def sightings(inliers: Sequence[Pair], current: CameraFrame) -> Sightings:
     )
 
 
+def looks(team: Team, features: Sequence[Features]) -> list[Sought]:
+    """By camera, each its own: features that are compared with none."""
+    return team.crew.each(lambda c: Sought.of(features[c]))
+
+
 def unsolved_frame(
+    team: Team,
     frames: FrameSet,
     status: FrameStatus,
+    sought: Sequence[Sought],
     regions: Sequence[FloatArray | None] | None = None,
     radius: float = np.nan,
     world_from_object: RigidTransform | None = None,
     covariance: FloatArray | None = None,
 ) -> TrackedFrame:
-    """Of a frame in which the object was not found; the pose is where it is thought to be, if anywhere."""
+    """Of a frame in which the object was not found; the pose is where it is thought to be, if anywhere.
+
+    Args:
+        sought: by camera, each its own: what it looked at.
+    """
     n = len(frames.images)
     covariance = np.full((6, 6), np.nan) if covariance is None else covariance
     nothing = np.zeros(n, np.int64), np.full(n, np.nan)
-    pose = FramePose(frames.index, frames.time, status, world_from_object, covariance, *nothing)
-    return TrackedFrame(pose, frames, (None,) * n, tuple(regions or [None] * n), radius)
+    told = team.crew.ask(lambda c: np.array([len(sought[c].features), len(sought[c].rejected)]), np.zeros(2, np.int64))
+    features, matches = np.array(told).T
+    pose = FramePose(
+        frames.index,
+        frames.time,
+        status,
+        world_from_object,
+        covariance,
+        *nothing,
+        matches=matches,
+        reason=why_none(status, int(features.sum()), int(matches.sum())),
+    )
+    none = (None,) * n
+    return TrackedFrame(pose, frames, none, tuple(regions or none), radius, sought=tuple(sought))
+
+
+def why_none(status: FrameStatus, features: int, matches: int) -> str:
+    """Why a frame has no pose, for people, by how many features were looked at and how many of them match what is known of
+    the object, in all cameras together."""
+    if status is FrameStatus.ONLY_STILL:
+        return "what agrees with a pose stands still and was never seen to move"
+    if features < MIN_MATCHES:
+        return f"{_counted(features, 'feature')} where it was looked for, in all cameras together"
+    if status is FrameStatus.NO_MOTION:
+        return f"{_counted(features, 'feature')}, too few of which moved, or by too little"
+    if status is FrameStatus.NOT_CONSISTENT:
+        return f"{_counted(features, 'feature')}; what moved was no rigid body, or not for long"
+    if matches < MIN_MATCHES:
+        return f"{matches} of {_counted(features, 'feature')} match what is known of the object"
+    return f"no pose agrees with enough of the {_counted(matches, 'match', 'matches')} among {_counted(features, 'feature')}"
+
+
+def _counted(number: int, one: str, many: str | None = None) -> str:
+    """A number of things."""
+    return f"{number} {one if number == 1 else many or one + 's'}"
