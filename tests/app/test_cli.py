@@ -609,6 +609,17 @@ def test_one_camera_that_looks_elsewhere_is_named() -> None:
     assert said.startswith("astray:")
 
 
+def test_axes_that_miss_each_other_are_said_and_no_fault(session: Path) -> None:
+    origin = (0.0, 0.0, 0.0)
+    met = [camera("a", (0, 0, -1), origin), camera("b", (1, 0, 0), origin)]
+    assert checks.axes_miss(Rig(met, "m")) == ""
+    assert checks.axes_miss(Rig(met[:1], "m")) == ""
+    beside = Rig([camera("a", (0, 0.036, -1), (0, 0.036, 0)), camera("b", (1, -0.036, 0), (0, -0.036, 0))], "m")
+    assert "miss each other by 36.0 mm, 4 % of" in checks.axes_miss(beside)
+    assert look_warnings(list(beside), "m") == []
+    assert checks.axes_miss(open_session(session).rig) == ""
+
+
 def test_cameras_at_one_place_and_a_suspicious_unit() -> None:
     origin = (0.0, 0.0, 0.0)
     cameras = [

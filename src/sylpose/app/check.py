@@ -26,6 +26,7 @@ from sylpose.tracking.region import volume_from_boxes
 
 __all__ = [
     "Place",
+    "axes_miss",
     "calibration_format",
     "check_aloud",
     "concerns",
@@ -40,6 +41,8 @@ __all__ = [
 # Cameras nearer to each other than this share of their distance to the object count as one place (choice: parallax
 # of a pixel at f = 1000 px).
 ONE_PLACE = 1e-3
+# Axes that pass each other by no more than this share of the cameras' distance meet (choice: aimed by hand, a degree).
+AXES_MEET = 0.02
 # Distances beyond this are hardly metres (choice).
 LARGE = 200.0
 
@@ -98,7 +101,11 @@ def check_aloud(session: Session, out: Path | None) -> None:
     text.print_warnings(console, found)
     if wrong:
         raise ValueError("; ".join(wrong))
-    console.print("Ready to track." if not found else "Can be tracked; see the warnings above.")
+    missed = axes_miss(session.rig)
+    if found:
+        console.print("Can be tracked; see the warnings above.")
+    else:
+        console.print(f"Can be tracked. {missed}" if missed else "Ready to track.")
 
 
 def follows(session: Session) -> Follows:
@@ -233,6 +240,21 @@ def look_at(rig: Rig, place: Place) -> list[str]:
             "all lengths come out in its unit."
         )
     return found
+
+
+def axes_miss(rig: Rig) -> str:
+    """A sentence where the optical axes pass each other by much, which is no fault by itself; "" where they meet."""
+    point = meeting_point(rig)
+    if point is None:
+        return ""
+    most = max(float(np.linalg.norm(np.cross(point - camera.center, camera.direction))) for camera in rig)
+    share = most / float(np.median([np.linalg.norm(point - camera.center) for camera in rig]))
+    if share <= AXES_MEET:
+        return ""
+    return (
+        f"The optical axes miss each other by {length(most, rig.unit)}, {100 * share:.0f} % of the cameras' distance: no "
+        "fault of cameras that were not aimed at one point; of those that were, the calibration is off."
+    )
 
 
 def _sees(rig: Rig, name: str, point: FloatArray) -> bool:

@@ -103,7 +103,7 @@ def track(
     masks, the object is what moves against the standing background.
     """
     from sylpose.app.aloud import track_aloud, why_nothing
-    from sylpose.app.check import concerns
+    from sylpose.app.check import axes_miss, concerns
     from sylpose.app.opening import open_asked
     from sylpose.app.run import has_ended, output_path
     from sylpose.sync.offsets import find_offsets
@@ -134,8 +134,8 @@ def track(
     )
     missing = why_nothing(opened, run)
     # What looked wrong from the start may be why, and has gone by long ago.
-    sentences = [*missing, *(concerns(opened, start) if missing else ())]
+    sentences = [*missing, *((*concerns(opened, start), axes_miss(opened.rig)) if missing else ())]
     if len(missing) == len(run.trajectories):
-        fail(sentences)
-    for sentence in sentences:
+        fail(list(filter(None, sentences)))
+    for sentence in filter(None, sentences):
         say(sentence)

@@ -53,10 +53,10 @@ def draw_matches(tile: Image, pair: Matches, scale: float, text: float, trail: C
 
 def draw_dots(tile: Image, pixels: FloatArray, scale: float, text: float, color: Color) -> None:
     """Small dots at pixels (n, 2), half transparent."""
-    layer, radius = tile.copy(), round(max(1.0, 1.3 * text) * 2**SHIFT)
+    layer, radius = tile.copy(), round(max(1.4, 1.7 * text) * 2**SHIFT)
     for x, y in _fixed(pixels, scale):
         cv2.circle(layer, (int(x), int(y)), radius, color, -1, cv2.LINE_AA, SHIFT)
-    cv2.addWeighted(layer, 0.6, tile, 0.4, 0, dst=tile)
+    cv2.addWeighted(layer, 0.8, tile, 0.2, 0, dst=tile)
 
 
 def draw_crosses(tile: Image, pixels: FloatArray, scale: float, text: float, color: Color) -> None:
