@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         Trajectory,
     )
     from sylpose.rig import Camera, Rig
+    from sylpose.tracking.frame import Sought
     from sylpose.tracking.joint import Nudge
     from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
     from sylpose.tracking.tracker import track
@@ -92,6 +93,7 @@ __all__ = [
     "Session",
     "Sightings",
     "SingularSylvesterError",
+    "Sought",
     "Source",
     "Status",
     "Timeline",
@@ -152,6 +154,7 @@ _HOMES = {
     "sylpose.results": ("FramePose", "FrameStatus", "Motion", "Observable", "RotationEstimate", "Status", "Trajectory"),
     "sylpose.rig": ("Camera", "Rig"),
     "sylpose.tracking.joint": ("Nudge",),
+    "sylpose.tracking.frame": ("Sought",),
     "sylpose.tracking.tracked_frame": ("Sightings", "TrackedFrame"),
     "sylpose.tracking.tracker": ("track",),
     "sylpose.two_frames.motion": ("estimate_motion", "estimate_motions"),

@@ -25,7 +25,7 @@ from sylpose.tracking.anchor import FEATURES as ANCHOR_FEATURES
 from sylpose.tracking.anchor import SOON, Followed, suffices, with_new
 from sylpose.tracking.camera import have_moved
 from sylpose.tracking.crew import Crew
-from sylpose.tracking.frame import CameraFrame, Frame, Pair, Sought, inliers_of, still, without_background
+from sylpose.tracking.frame import CameraFrame, Frame, Pair, Sought, inliers_of, sought_in, still, without_background
 from sylpose.tracking.frame_solvers import Agreement, Problem, Solution
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import references_of, viewpoints
@@ -181,7 +181,7 @@ def matched(
         if anew:
             references = [*([] if last is None else [last]), *references_of(joint.keyframes, c, here[c], last)]
             pairs += team.parts[c].match(frame.cameras[c], [reference.number for reference in references])
-        team.parts[c].sought = Sought.of(frame.cameras[c].features, pairs)
+        team.parts[c].sought = sought_in(frame.cameras[c].features, pairs)
         return pairs
 
     pairs = team.crew.each(of, long=anew)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -28,6 +27,7 @@ __all__ = [
     "learn_background",
     "match_pair",
     "pair_near",
+    "sought_in",
     "still",
     "triangulate",
     "without_background",
@@ -176,15 +176,15 @@ class Sought:
     features: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     rejected: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
 
-    @classmethod
-    def of(cls, features: Features, pairs: Sequence[Pair] = (), weights: Sequence[FloatArray] | None = None) -> Self:
-        """A frame's features, its matches, and the weight (n,) of each pair's in the pose; None without one."""
-        tried, agrees = np.zeros(len(features), bool), np.zeros(len(features), bool)
-        for k, pair in enumerate(pairs):
-            tried[pair.indices[:, 1]] = True
-            if weights is not None:
-                agrees[pair.indices[weights[k] > 0, 1]] = True
-        return cls(features.pixels, features.pixels[tried & ~agrees])
+
+def sought_in(features: Features, pairs: Sequence[Pair] = (), weights: Sequence[FloatArray] | None = None) -> Sought:
+    """Of a frame's features, its matches, and the weight (n,) of each pair's in the pose; None without one."""
+    tried, agrees = np.zeros(len(features), bool), np.zeros(len(features), bool)
+    for k, pair in enumerate(pairs):
+        tried[pair.indices[:, 1]] = True
+        if weights is not None:
+            agrees[pair.indices[weights[k] > 0, 1]] = True
+    return Sought(features.pixels, features.pixels[tried & ~agrees])
 
 
 def base_from_reference(pair: Pair, base: SolvedFrame, known: Mapping[int, SolvedFrame]) -> RigidTransform | None:

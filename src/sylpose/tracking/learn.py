@@ -16,7 +16,7 @@ from sylpose.results import FramePose, FrameStatus, Observable, Status
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.camera import SeenAgain
 from sylpose.tracking.find import Found, on_the_move
-from sylpose.tracking.frame import Frame, Pair, SolvedFrame, Sought, learn_only, triangulate
+from sylpose.tracking.frame import Frame, Pair, SolvedFrame, Sought, learn_only, sought_in, triangulate
 from sylpose.tracking.joint import Joint, covariance_with_references
 from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.records import placed, total_ages
@@ -157,7 +157,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         if begins:
             part.anchor_at(frame.number, frames.images[c], None if silent[c] else followed)
         before = None if followed is None else followed.before
-        sought = Sought.of(current.features, found.pairs[c], [w for w, _ in solution.agreement[c]])
+        sought = sought_in(current.features, found.pairs[c], [w for w, _ in solution.agreement[c]])
         return shown(seen[c].inliers, current, base.number, before), sightings(seen[c].inliers, current), sought
 
     learnt = crew.each(learn, long=found.anew)

@@ -12,7 +12,7 @@ from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import FramePose, FrameStatus
-from sylpose.tracking.frame import CameraFrame, Pair, Sought
+from sylpose.tracking.frame import CameraFrame, Pair, Sought, sought_in
 from sylpose.tracking.joint import Nudge
 from sylpose.tracking.team import Team
 from sylpose.two_frames.fit import MIN_MATCHES
@@ -97,7 +97,7 @@ def sightings(inliers: Sequence[Pair], current: CameraFrame) -> Sightings:
 
 def looks(team: Team, features: Sequence[Features]) -> list[Sought]:
     """By camera, each its own: features that are compared with none."""
-    return team.crew.each(lambda c: Sought.of(features[c]))
+    return team.crew.each(lambda c: sought_in(features[c]))
 
 
 def unsolved_frame(
