@@ -346,7 +346,7 @@ def test_an_overlay_that_fails_is_said(
     def full(*_: Any) -> None:
         raise OSError("cannot write overlay.mp4: no space left on device")
 
-    monkeypatch.setattr("sylpose.report.overlay.OverlayWriter.write", full)
+    monkeypatch.setattr("sylpose.report.overlay.OverlayWriter.write_objects", full)
     result = run("track", recording, "--out", tmp_path)
     assert result.code == 2
     assert "overlay.mp4: no space left" in result.err

@@ -157,7 +157,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         if begins:
             part.anchor_at(frame.number, frames.images[c], None if silent[c] else followed)
         before = None if followed is None else followed.before
-        sought = sought_in(current.features, found.pairs[c], [w for w, _ in solution.agreement[c]])
+        sought = sought_in(found.frame.cameras[c].features, found.pairs[c], [w for w, _ in solution.agreement[c]])
         return shown(seen[c].inliers, current, base.number, before), sightings(seen[c].inliers, current), sought
 
     learnt = crew.each(learn, long=found.anew)
