@@ -11,6 +11,8 @@ import numpy as np
 
 from sylpose import open_session, track
 
+if len(sys.argv) != 2:
+    sys.exit("usage: python examples/track_videos.py RECORDING")
 session = open_session(sys.argv[1])
 for frame in track(session.frames(), session.rig, session.boxes):
     pose = frame.pose

@@ -28,6 +28,11 @@ def test_track_videos(recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     assert lines[-1].startswith("  0.367 s")
 
 
+def test_track_videos_asks_for_a_recording(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match=r"usage: python examples/track_videos\.py RECORDING"):
+        run_example("track_videos.py", [], monkeypatch, capsys)
+
+
 def test_own_arrays(recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     lines = run_example("own_arrays.py", [str(recording)], monkeypatch, capsys)
     assert lines.count("Everything that was asked for was found.") == 2

@@ -340,6 +340,26 @@ def test_a_bug_keeps_what_is_computed_and_its_traceback(
     assert (tmp_path / "report.png").exists()
 
 
+def test_offsets_that_are_used_are_said(run: Command, session: Path, tmp_path: Path) -> None:
+    (session / "offsets.toml").write_text("cam_0 = 0.0\ncam_1 = 0.004\ncam_2 = -0.002\n")
+    result = run("track", session, "--stop", "4", "--no-overlay", "--out", tmp_path / "out")
+    assert result.code == 0, result.err
+    assert (
+        "Later than their times say: cam_1 4 ms, cam_2 -2 ms (--offsets, or offsets.toml in the recording)."
+        in result.out
+    )
+
+
+def test_without_a_terminal_progress_is_a_line_now_and_then(
+    run: Command, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sylpose.app.text.BETWEEN_LINES", 0.0)
+    result = run("track", recording, "--stop", "3", "--no-overlay", "--out", tmp_path / "out")
+    lines = [line for line in result.err.splitlines() if line.startswith("sylpose: tracked ")]
+    assert [line.split(",")[0] for line in lines] == [f"sylpose: tracked {k} of 3 frames" for k in (1, 2, 3)]
+    assert lines[-1].endswith("inliers")
+
+
 def test_an_overlay_that_fails_is_said(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Command
 ) -> None:

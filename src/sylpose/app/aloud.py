@@ -33,13 +33,16 @@ def track_aloud(session: Session | LiveSession, out: Path | None, **options: Any
     console.print(text.headline(session))
     start, stop, every = options.get("start", 0), options.get("stop"), options.get("every", 1)
     text.print_warnings(console, concerns(session, start))
+    if offsets := {name: seconds for name, seconds in (options.get("offsets") or {}).items() if seconds}:
+        late = ", ".join(f"{name} {1000 * seconds:.4g} ms" for name, seconds in offsets.items())
+        console.print(f"Later than their times say: {late} (--offsets, or offsets.toml in the recording).")
     frames = None
     if session.n_frames is not None:
         frames = len(range(start, session.n_frames if stop is None else min(stop, session.n_frames), max(every, 1)))
     elif stop is not None:
         frames = len(range(start, stop, max(every, 1)))
     problems: list[str] = []
-    with console.status("Loading (the first time after an installation: compiling, half a minute) ..."):
+    with console.status("Loading (the first time after an installation: compiling, one to two minutes) ..."):
         compile_all()
     with (
         text.TrackingProgress(len(session.rig), frames, len(session.objects)) as progress,

@@ -264,7 +264,7 @@ def sync_aloud(
     console = text.make_console()
     console.print(text.headline(session))
     text.print_warnings(console, session.warnings)
-    with console.status("Loading (the first time after an installation: compiling, half a minute) ..."):
+    with console.status("Loading (the first time after an installation: compiling, one to two minutes) ..."):
         compile_all()
     progress = _Watching()
     try:

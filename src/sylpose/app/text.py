@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import textwrap
+import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import groupby
@@ -47,6 +48,7 @@ __all__ = [
 SHOWN_WARNINGS = 12
 MOST_STRETCHES = 4  # of frames that were not found, of which it is said why
 LABEL = 14
+BETWEEN_LINES = 20.0  # seconds, of progress where there is no terminal
 
 
 def make_console(*, stderr: bool = False) -> Console:
@@ -120,7 +122,7 @@ def headline(session: Session | LiveSession) -> Text:
 
 
 class TrackingProgress:
-    """A progress bar on stderr, nothing when that is no terminal: frames, frames per second, inliers.
+    """A progress bar on stderr, where that is no terminal a line every twenty seconds: frames, frames per second, inliers.
 
     A context manager; `update` is what `track_session` takes as `on_frame`.
 
@@ -132,6 +134,7 @@ class TrackingProgress:
 
     def __init__(self, cameras: int, frames: int | None, objects: int = 1) -> None:
         self._updates, self._skipped, self._objects = 0, 0, objects
+        self._frames, self._said = frames, time.monotonic()
         console = make_console(stderr=True)
         self._progress = Progress(
             TextColumn("{task.description}"),
@@ -186,6 +189,11 @@ class TrackingProgress:
         elapsed = self._progress.tasks[0].elapsed
         rate = f"{self.tracked / elapsed:.1f} frames/s" if elapsed else ""
         self._progress.update(self._task, completed=self.done, rate=rate, inliers=inliers)
+        now = time.monotonic()
+        if self._progress.disable and now - self._said >= BETWEEN_LINES:
+            self._said = now
+            of = "" if self._frames is None else f" of {self._frames}"
+            say(f"tracked {self.done}{of} frames, {rate or 'no rate yet'}, {inliers}")
 
 
 def print_summary(console: Console, run: Run, tracked: int) -> None:

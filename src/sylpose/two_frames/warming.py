@@ -21,7 +21,7 @@ __all__ = ["warm_up", "warm_up_reweighting", "warm_up_search", "warm_up_verdicts
 
 
 def warm_up() -> None:
-    """Compiles what `fit_terms` runs, or loads it where that has been done: a third of a second, half a minute once."""
+    """Compiles what `fit_terms` runs, or loads it where that has been done: a third of a second, a minute or two once."""
     fit_terms(_data(), np.zeros(3), 0.1, [], np.random.default_rng(0))
     warm_up_verdicts()
 
