@@ -167,8 +167,7 @@ def _where(rig: Rig, place: Place) -> str:
     at = ", ".join(f"{value:.3g}" for value in np.where(np.abs(place.center) < grain, 0.0, place.center))
     where = f"where {place.source} meet, ({at})"
     if place.source == "the optical axes":
-        off = [np.linalg.norm(np.cross(place.center - c.center, c.direction)) for c in rig]
-        where += f", to within {length(max(float(max(off)), grain), rig.unit)}"
+        where += f", to within {length(max(_off_axes(rig, place.center), grain), rig.unit)}"
     elif place.radius:
         where += f", radius up to {length(place.radius, rig.unit)}"
     return where
@@ -242,12 +241,17 @@ def look_at(rig: Rig, place: Place) -> list[str]:
     return found
 
 
+def _off_axes(rig: Rig, point: FloatArray) -> float:
+    """How far a point is at most from a camera's optical axis."""
+    return max(float(np.linalg.norm(np.cross(point - camera.center, camera.direction))) for camera in rig)
+
+
 def axes_miss(rig: Rig) -> str:
     """A sentence where the optical axes pass each other by much, which is no fault by itself; "" where they meet."""
     point = meeting_point(rig)
     if point is None:
         return ""
-    most = max(float(np.linalg.norm(np.cross(point - camera.center, camera.direction))) for camera in rig)
+    most = _off_axes(rig, point)
     share = most / float(np.median([np.linalg.norm(point - camera.center) for camera in rig]))
     if share <= AXES_MEET:
         return ""

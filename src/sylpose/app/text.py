@@ -134,7 +134,7 @@ class TrackingProgress:
 
     def __init__(self, cameras: int, frames: int | None, objects: int = 1) -> None:
         self._updates, self._skipped, self._objects = 0, 0, objects
-        self._frames, self._said = frames, time.monotonic()
+        self._said = time.monotonic()
         console = make_console(stderr=True)
         self._progress = Progress(
             TextColumn("{task.description}"),
@@ -192,7 +192,8 @@ class TrackingProgress:
         now = time.monotonic()
         if self._progress.disable and now - self._said >= BETWEEN_LINES:
             self._said = now
-            of = "" if self._frames is None else f" of {self._frames}"
+            total = self._progress.tasks[0].total
+            of = "" if total is None else f" of {total:.0f}"
             say(f"tracked {self.done}{of} frames, {rate or 'no rate yet'}, {inliers}")
 
 
