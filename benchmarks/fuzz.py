@@ -37,7 +37,7 @@ from sylpose import __version__, calibration
 from sylpose.app.checkpoint import CHECKPOINT, FORMAT, load_checkpoint
 from sylpose.app.encoding import encoded
 from sylpose.app.state import FUNCTIONS, KINDS, OutputState, RunState
-from sylpose.app.tracks import _FRAME, TrackFile
+from sylpose.app.tracks import _FRAME, FrameFile
 from sylpose.archive.recordings import Options, find_recordings
 from sylpose.capture.boxes import load_boxes
 from sylpose.capture.images import image_size, read_image
@@ -439,7 +439,7 @@ def _tracks(file: Path) -> object:
     content = data[8:]
     tracks = file.parent / "tracks.bin"
     tracks.write_bytes(_FRAME.pack(int.from_bytes(data[:8], "little"), len(content), zlib.crc32(content)) + content)
-    found = TrackFile(tracks, tracks.stat().st_size)
+    found = FrameFile(tracks, Track, tracks.stat().st_size)
     try:
         return list(found.read())
     finally:

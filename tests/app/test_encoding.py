@@ -19,8 +19,9 @@ from sylpose.app.checkpoint import CHECKPOINT, DIGEST_SIZE, load_checkpoint
 from sylpose.app.encoding import decoded, encoded
 from sylpose.app.run import track_session
 from sylpose.app.state import FUNCTIONS, KINDS, RunState
-from sylpose.app.tracks import TrackFile
+from sylpose.app.tracks import FrameFile
 from sylpose.capture import open_session
+from sylpose.smoothing.trajectory import Track
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -199,7 +200,7 @@ def test_tampered_tracks(checkpoint: Path, at: int, bit: int, cut: bool) -> None
     else:
         data[at] ^= 1 << bit
     path.write_bytes(data)
-    file = TrackFile(path, len(data))
+    file = FrameFile(path, Track, len(data))
     if cut and at in between:  # what is there is whole
         assert len(list(file.read())) == sorted(between).index(at)
     else:

@@ -11,7 +11,7 @@ from sylpose.adjustment.calibration import usual_doubt
 from sylpose.app.clock import Clock
 from sylpose.app.recalibrate import changes, moved_cameras, write_refined
 from sylpose.app.state import OutputState
-from sylpose.app.tracks import TrackFile
+from sylpose.app.tracks import FrameFile
 from sylpose.files import output_folder
 from sylpose.report.files import TrajectoryWriter, write_trajectory
 from sylpose.results import FramePose, Status, Trajectory
@@ -44,7 +44,7 @@ class ObjectOutput:
         resume: of an earlier run, to go on with its files. Nothing of them is cut or removed before there is as much again.
 
     Raises:
-        OSError, ValueError: as `TrajectoryWriter` and `TrackFile`.
+        OSError, ValueError: as `TrajectoryWriter` and `FrameFile`.
     """
 
     def __init__(
@@ -65,9 +65,14 @@ class ObjectOutput:
         stem = TRACKED if smooth else RESULT
         writer = None if resume is None else resume.writer
         self._writer = TrajectoryWriter(self.folder, rig.names, rig.unit, stem=stem, resume=writer)
-        self._tracks = TrackFile(self.folder / TRACKS, state.n_tracks) if smooth else None
-        self.poses: list[FramePose] = list(self._writer.written())
+        self._tracks = FrameFile(self.folder / TRACKS, Track, state.n_tracks) if smooth else None
+        # Of a run of days they are too many for the memory, and the files have them rounded.
+        self._poses = FrameFile(self.folder, FramePose)
+        self.n_frames = 0
+        for pose in self._writer.written():
+            self._keep(pose)
         self._ended = False
+        self._whole: Trajectory | None = None
         self.files = [*self._named(RESULT), self.report_path, *(self._named(TRACKED) if smooth else [])]
 
     def _named(self, stem: str) -> list[Path]:
@@ -76,12 +81,19 @@ class ObjectOutput:
     @property
     def trajectory(self) -> Trajectory:
         """All frames up to now."""
-        return Trajectory(self.poses, self._rig.names, self._rig.unit)
+        return self._of(list(self._poses.read())) if self._whole is None else self._whole
+
+    def _of(self, poses: Sequence[FramePose]) -> Trajectory:
+        return Trajectory(poses, self._rig.names, self._rig.unit)
+
+    def _keep(self, pose: FramePose) -> None:
+        self._poses.write(pose)
+        self.n_frames += 1
 
     def write(self, tracked: TrackedFrame) -> None:
         """Appends a frame to the files."""
         self._writer.write(tracked.pose)
-        self.poses.append(tracked.pose)
+        self._keep(tracked.pose)
         if self._tracks is not None:
             self._tracks.write(Track.of(tracked))
 
@@ -102,9 +114,9 @@ class ObjectOutput:
         self._ended = True
         return sentence
 
-    def _smoothed(self, kept: TrackFile, on_round: Callable[[int], None] | None) -> str | None:
-        if len(self.poses) > MAX_SMOOTHED:
-            return f"Smoothing: {len(self.poses)} frames are more than the {MAX_SMOOTHED} that can be refined together."
+    def _smoothed(self, kept: FrameFile[Track], on_round: Callable[[int], None] | None) -> str | None:
+        if self.n_frames > MAX_SMOOTHED:
+            return f"Smoothing: {self.n_frames} frames are more than the {MAX_SMOOTHED} that can be refined together."
         with self._clock.part("smoothing"):
             tracks = list(kept.read())
             nudges = tracks[-1].nudges if tracks else ()
@@ -113,7 +125,7 @@ class ObjectOutput:
             result = smooth(
                 tracks, self._rig, doubt=doubt, recalibrate=self._recalibrate, moved=moved, on_round=on_round
             )
-            self.poses[:] = result.poses
+            self._whole = self._of(result.poses)
             if result.correction is not None:
                 self.files += write_refined(self.folder, result.correction, self._rig.names, result.moved)
                 self.changes += changes(result.correction, self._rig, result.moved)
@@ -122,18 +134,20 @@ class ObjectOutput:
     def close(self) -> None:
         """Finishes the files with the frames there are. Where the run did not come to its end, a result that is there and
         has as many frames stays, and its report."""
+        self._whole = self.trajectory
+        self._poses.close()
         self._writer.close()
         if self._tracks is not None:
             self._tracks.close()
-        if not self._ended and _frames_in(self._named(RESULT)[1]) >= len(self.poses) + (self._tracks is None):
+        if not self._ended and _frames_in(self._named(RESULT)[1]) >= self.n_frames + (self._tracks is None):
             return
         if self._tracks is not None:  # as refined, or as tracked where it was interrupted or is too much
-            write_trajectory(self.folder, self.trajectory, stem=RESULT)
-        if self.poses:
+            write_trajectory(self.folder, self._whole, stem=RESULT)
+        if self.n_frames:
             with self._clock.part("plots"):
                 from sylpose.report.plots import plot_trajectory
 
-                plot_trajectory(self.trajectory, self.report_path)
+                plot_trajectory(self._whole, self.report_path)
 
 
 def _frames_in(path: Path) -> int:

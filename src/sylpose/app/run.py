@@ -192,7 +192,7 @@ def track_session(
         outputs: dict[str, ObjectOutput] = {}
 
         def begun() -> bool:
-            return position > 0 or any(output.poses for output in outputs.values())
+            return position > 0 or any(output.n_frames for output in outputs.values())
 
         if resume and saver is not None and isinstance(session, Session):
             results.recover()
