@@ -288,8 +288,35 @@ def test_a_camera_that_breaks_is_opened_again(folder: Path) -> None:
 
 @pytest.mark.usefixtures("hasty")
 def test_no_camera_at_all_is_an_error_that_says_why(folder: Path) -> None:
-    with pytest.raises(OSError, match=r"no camera gives any frame: .*cam_0.*unplugged"):
-        list(live(folder, {0: [], 1: []}).frames(on_problem=lambda _: None))
+    problems: list[str] = []
+    with pytest.raises(OSError, match=r"no camera gives any frame: .*cam_0.*unplugged") as caught:
+        list(live(folder, {0: [], 1: []}).frames(on_problem=problems.append))
+    assert [sum(c in p and "tried again" in p for p in problems) for c in ("cam_0", "cam_1")] == [1, 1]
+    # What is in the error has not been said before.
+    assert not any("no more" in p for p in problems)
+    assert str(caught.value).count("this camera gives no more") == 2
+
+
+def test_that_a_camera_cannot_be_opened_is_said_at_once(folder: Path) -> None:
+    """Not when all have been given up, after 15 seconds."""
+    session, said = live(folder, {0: [], 1: []}), list[float]()
+    begin = time.monotonic()
+
+    def heard(_: str) -> None:
+        said.append(time.monotonic() - begin)
+        if len(said) == 2:
+            session.stop()
+
+    assert list(session.frames(on_problem=heard)) == []
+    assert len(said) == 2
+    assert max(said) < 2.0  # of 15.5 seconds of pauses
+
+
+@pytest.mark.usefixtures("hasty")
+def test_a_camera_that_was_given_up_before_the_first_frame_is_said(folder: Path) -> None:
+    problems: list[str] = []
+    assert len(list(live(folder, {0: [Fake(40)], 1: []}).frames(on_problem=problems.append))) > 10
+    assert sum("cam_1" in p and "no more" in p for p in problems) == 1
 
 
 def test_frames_of_another_size_are_an_error(folder: Path) -> None:

@@ -163,7 +163,7 @@ class _Feed:
                 begin = time.monotonic()
                 reason = self._serve()
                 if self.refused:
-                    self._hub.say(f"{self.refused}; this camera gives no more.")
+                    self._hub.say(f"{self.refused}; this camera gives no more.", last=True)
                 if self.refused or self._hub.stopped.is_set():
                     return
                 if time.monotonic() - begin > STEADY:
@@ -171,7 +171,7 @@ class _Feed:
                 again = failures < len(self._pauses)
                 if failures == 0 or not again:
                     then = "it is tried again" if again else "this camera gives no more"
-                    self._hub.say(f"{self._camera.name}: {reason}; {then}.")
+                    self._hub.say(f"{self._camera.name}: {reason}; {then}.", last=not again)
                     self._out = True
                 if not again or self._hub.stopped.wait(self._pauses[failures]):
                     return
@@ -213,7 +213,7 @@ class _Hub:
         self.assembler, self.stopped = assembler, stopped
         self.changed = threading.Condition()
         self._number = {name: c for c, name in enumerate(names)}
-        self._said: deque[str] = deque(maxlen=100)
+        self._said: deque[tuple[str, bool]] = deque(maxlen=100)
 
     def add(self, name: str, grab: Grab) -> None:
         arrival = time.monotonic()
@@ -226,11 +226,13 @@ class _Hub:
             self.assembler.gone(self._number[name])
             self.changed.notify()
 
-    def say(self, problem: str) -> None:
+    def say(self, problem: str, *, last: bool = False) -> None:
+        """A sentence for people; `last` of this camera."""
         with self.changed:
-            self._said.append(problem)
+            self._said.append((problem, last))
+            self.changed.notify()
 
-    def heard(self) -> list[str]:
+    def heard(self) -> list[tuple[str, bool]]:
         with self.changed:
             said = [*self._said]
             self._said.clear()
@@ -259,20 +261,28 @@ def read_streams(
     hub = _Hub(assembler, [camera.name for camera in cameras], stopped)
     feeds = [_Feed(camera, opener, hub, pauses) for camera, opener in zip(cameras, openers, strict=True)]
     index, zero = -1, 0.0
-    said: list[str] = []
+    ends: list[str] = []  # of cameras, before the first set: where there is none they are in the error, and said once
+
+    def tell() -> None:
+        for problem, last in hub.heard():
+            if last and index < 0:
+                ends.append(problem)
+            else:
+                on_problem(problem)
+
     try:
-        _await_first(hub, feeds)
+        _await_first(hub, feeds, tell)
         while index + 1 < instants.stop:
-            shots = _next_set(hub, feeds)
+            shots = _next_set(hub, feeds, tell)
             if index < 0:
                 _check_refused(feeds)
-            for problem in hub.heard():
-                said += [problem] if index < 0 else []
-                on_problem(problem)
+            tell()
             if shots is None:
                 if index < 0 and not stopped.is_set():
-                    raise OSError(f"no camera gives any frame: {' '.join(said)}")
+                    raise OSError(f"no camera gives any frame: {' '.join(ends)}")
                 return
+            while ends:
+                on_problem(ends.pop(0))
             index += 1
             times = [None if shot is None else shot.time for shot in shots]
             mean = fmean(t for t in times if t is not None)
@@ -291,20 +301,24 @@ def read_streams(
             feed.join()
 
 
-def _await_first(hub: _Hub, feeds: Sequence[_Feed]) -> None:
+def _await_first(hub: _Hub, feeds: Sequence[_Feed], tell: Callable[[], None]) -> None:
     deadline = time.monotonic() + TIMEOUT
-    with hub.changed:
-        while time.monotonic() < deadline and not hub.stopped.is_set():
+    while time.monotonic() < deadline and not hub.stopped.is_set():
+        tell()
+        with hub.changed:
             if all(hub.assembler.seen(c) or feed.tried for c, feed in enumerate(feeds)):
                 break
             hub.changed.wait(TICK)
+    with hub.changed:
         hub.assembler.begin()
 
 
-def _next_set(hub: _Hub, feeds: Sequence[_Feed]) -> list[Shot | None] | None:
-    """The next set as soon as there is one; None when all cameras have ended, or the reader is stopped."""
-    with hub.changed:
-        while not hub.stopped.is_set():
+def _next_set(hub: _Hub, feeds: Sequence[_Feed], tell: Callable[[], None]) -> list[Shot | None] | None:
+    """The next set as soon as there is one; None when all cameras have ended, or the reader is stopped. What is said
+    meanwhile is told at once."""
+    while not hub.stopped.is_set():
+        tell()
+        with hub.changed:
             ended = all(feed.ended for feed in feeds)
             shots = hub.assembler.pick(time.monotonic())
             if shots is not None or ended:
