@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["beside", "output_folder", "replacing", "writing"]
+__all__ = ["beside", "output_folder", "replacing", "toml_key", "toml_string", "writing"]
 
 
 @contextmanager
@@ -78,3 +80,14 @@ def replacing(path: Path | str, *, mode: int | None = None) -> Iterator[Path]:
         except BaseException:
             part.unlink(missing_ok=True)
             raise
+
+
+def toml_string(text: str) -> str:
+    """A word as TOML has it."""
+    # A JSON string is a TOML string too, but for the one control character that JSON leaves as it is.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def toml_key(name: str) -> str:
+    """A name before an equals sign or in a table's head."""
+    return name if re.fullmatch("[A-Za-z0-9_-]+", name) else toml_string(name)

@@ -255,7 +255,7 @@ def test_ctrl_c_ends_live_cameras_with_all_files(
 @pytest.mark.usefixtures("cameras")
 def test_what_live_cameras_cannot_do(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "--resume: a live session" in wrong(capsys, "track", session, "--resume")
-    assert "--offset" in wrong(capsys, "track", session, "--offset", "cam_0=1")
+    assert "--frame-offset" in wrong(capsys, "track", session, "--frame-offset", "cam_0=1")
     assert "lossless" in wrong(capsys, "track", session, "--lossless")
     (session / "live.toml").write_text("[sources]\ncam_0 = 0\n")
     assert "live.toml" in wrong(capsys, "track", session)

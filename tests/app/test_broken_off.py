@@ -215,7 +215,7 @@ def test_two_runs_in_one_folder(opened: Session, tmp_path: Path) -> None:
         (["--stop", "0"], "stop must be greater than start"),
         (["--boxes", "nowhere.toml"], "nowhere.toml"),
         (["--offsets", "nowhere.toml"], "nowhere.toml"),
-        (["--offset", "cam_9=1"], "cam_9"),
+        (["--frame-offset", "cam_9=1"], "cam_9"),
         (["--resume", "--every", "0"], "every must be at least 1"),
     ],
 )

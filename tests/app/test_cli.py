@@ -495,9 +495,9 @@ def test_empty_mask(run: Command, session: Path) -> None:
 
 def test_offsets(run: Command, session: Path) -> None:
     for wrong in ("cam_1", "cam_1=x", "=3"):
-        assert wrong in one_sentence(run("track", session, "--offset", wrong))
-    assert "cam_9" in one_sentence(run("track", session, "--offset", "cam_9=2"))
-    result = run("check", session, "--offset", "cam_1=2", "--offset", "cam_2=-1")
+        assert wrong in one_sentence(run("track", session, "--frame-offset", wrong))
+    assert "cam_9" in one_sentence(run("track", session, "--frame-offset", "cam_9=2"))
+    result = run("check", session, "--frame-offset", "cam_1=2", "--frame-offset", "cam_2=-1")
     assert result.code == 0
     assert "cam_1 has 2 to 13" in result.out
 

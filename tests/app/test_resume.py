@@ -204,7 +204,7 @@ def test_other_options_or_another_session(session: Path, capsys: pytest.CaptureF
         said = refused(capsys, session, option, value)
         assert words in said
         assert "checkpoint.bin" in said
-    assert "time stamps or offsets" in refused(capsys, session, "--offset", "cam_0=1")
+    assert "time stamps or offsets" in refused(capsys, session, "--frame-offset", "cam_0=1")
     # Each is looked at before those that were changed already.
     (session / "cam_1.mp4").write_bytes((session / "cam_2.mp4").read_bytes())
     assert "other images" in refused(capsys, session)

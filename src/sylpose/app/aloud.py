@@ -5,34 +5,67 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 from sylpose.app import text
 from sylpose.app.check import concerns
 from sylpose.app.compiling import compile_all
+from sylpose.app.listeners import STDOUT, listener
 from sylpose.app.results_folder import EARLIER
-from sylpose.app.run import Run, output_path, track_session
+from sylpose.app.run import ONE_CAMERA_UNIT, Run, output_path, track_session
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
+from sylpose.report.lines import pose_line
+from sylpose.results import FramePose
 
 __all__ = ["track_aloud", "why_nothing"]
 
 
-def track_aloud(session: Session | LiveSession, out: Path | None, **options: Any) -> Run:
+def track_aloud(
+    session: Session | LiveSession,
+    out: Path | None,
+    *,
+    quiet: bool = False,
+    verbose: bool = False,
+    poses: str | None = None,
+    **options: Any,
+) -> Run:
     """`track_session` with everything that is said about it; `options` are those of `track_session`.
 
     Ctrl-C ends the run after the present frame, twice at once. Live sessions end with it as if the cameras had ended.
 
+    Args:
+        quiet: only what looks wrong is said, on stderr.
+        verbose: a line for each frame.
+        poses: who is told each pose (`app.listeners`); where that is stdout, everything else goes to stderr.
+
     Raises:
         KeyboardInterrupt: with a sentence.
-        ValueError, OSError: as `track_session`.
+        ValueError, OSError: as `track_session`; both quiet and verbose; a listener that there cannot be.
     """
-    console = text.make_console()
+    if quiet and verbose:
+        raise ValueError("--quiet and --verbose exclude each other")
+    with ExitStack() as stack:
+        tell = None if poses is None else stack.enter_context(listener(poses))
+        return _track_aloud(session, out, tell, poses == STDOUT, quiet, verbose, options)
+
+
+def _track_aloud(
+    session: Session | LiveSession,
+    out: Path | None,
+    tell: Callable[[str], None] | None,
+    to_stdout: bool,
+    quiet: bool,
+    verbose: bool,
+    options: dict[str, Any],
+) -> Run:
+    console = text.make_console(stderr=to_stdout, quiet=quiet)
+    warned = text.make_console(stderr=True) if quiet else console
     console.print(text.headline(session))
     start, stop, every = options.get("start", 0), options.get("stop"), options.get("every", 1)
-    text.print_warnings(console, concerns(session, start))
+    text.print_warnings(warned, concerns(session, start))
     if offsets := {name: seconds for name, seconds in (options.get("offsets") or {}).items() if seconds}:
         late = ", ".join(f"{name} {1000 * seconds:.4g} ms" for name, seconds in offsets.items())
         console.print(f"Later than their times say: {late} (--offsets, or offsets.toml in the recording).")
@@ -42,17 +75,25 @@ def track_aloud(session: Session | LiveSession, out: Path | None, **options: Any
     elif stop is not None:
         frames = len(range(start, stop, max(every, 1)))
     problems: list[str] = []
+    unit = session.rig.unit if len(session.rig) > 1 else ONE_CAMERA_UNIT
     with console.status("Loading (the first time after an installation: compiling, one to two minutes) ..."):
         compile_all()
     with (
-        text.TrackingProgress(len(session.rig), frames, len(session.objects)) as progress,
+        text.TrackingProgress(len(session.rig), frames, len(session.objects), quiet=quiet) as progress,
         _interrupts(session) as asked,
     ):
 
         def on_problem(problem: str) -> None:
             problems.append(problem)
             if isinstance(session, LiveSession):  # it may go on for hours
-                text.print_warnings(console, [problem])
+                text.print_warnings(warned, [problem])
+
+        def on_pose(name: str, pose: FramePose) -> None:
+            of = name if len(session.objects) > 1 else ""
+            if verbose:
+                console.print(text.frame_line(of, pose, session.rig.names, unit), soft_wrap=True)
+            if tell is not None:
+                tell(pose_line(pose, session.rig.names, unit, **({"object": of} if of else {})))
 
         def on_resume(done: int) -> None:
             console.print(f"Going on after {done} of {frames} frames.")
@@ -64,6 +105,7 @@ def track_aloud(session: Session | LiveSession, out: Path | None, **options: Any
                 out,
                 on_resume=on_resume,
                 on_frame=progress.update,
+                on_pose=on_pose,
                 on_smoothing=progress.smoothing,
                 on_problem=on_problem,
                 interrupted=asked,
@@ -72,7 +114,7 @@ def track_aloud(session: Session | LiveSession, out: Path | None, **options: Any
         except BaseException as error:
             progress.stop()
             if not isinstance(session, LiveSession):
-                text.print_warnings(console, problems)
+                text.print_warnings(warned, problems)
             of = "" if frames is None else f" of {frames}"
             folder = output_path(session, out)
             said = f"after {progress.done}{of} frames; what was computed is in {folder}"
@@ -85,6 +127,8 @@ def track_aloud(session: Session | LiveSession, out: Path | None, **options: Any
             raise
     console.print()
     text.print_summary(console, run, progress.tracked)
+    if quiet and not isinstance(session, LiveSession):
+        text.print_warnings(warned, run.problems)
     return run
 
 

@@ -29,11 +29,12 @@ from sylpose.network.wire import Links, Place, Wire, digest_of, watch_network
 from sylpose.network.words import MOST_CAMERAS
 from sylpose.reading import one_line
 from sylpose.report.files import TrajectoryWriter
+from sylpose.report.lines import pose_line
 from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-__all__ = ["Asked", "interrupted", "node_aloud", "nodes_aloud", "pose_line"]
+__all__ = ["Asked", "interrupted", "node_aloud", "nodes_aloud"]
 
 # Seconds between two lines of how a node is; of silence after which a node is not shown any more (choice).
 SAYS_EVERY, GONE_AFTER = 1.0, 5.0
@@ -107,7 +108,11 @@ def node_aloud(asked: Asked) -> bool:
             told.frames += 1
             told.poses += tracked.pose.measured
             writer.write(tracked.pose)
-            wire.say_pose(pose_line(asked.camera, rig, tracked, node.members, _named(rig, refused, runner, wire)))
+            members = [rig.names[i] for i in node.members]
+            by_name = _named(rig, refused, runner, wire)
+            wire.say_pose(
+                pose_line(tracked.pose, rig.names, rig.unit, node=asked.camera, took_part=members, refused=by_name)
+            )
 
     runner = Runner(present, work, lambda packets: wire.send(packets))
     # Before the files: those of a node of that name which is running stay as they are.
@@ -193,31 +198,6 @@ def _named(rig: Rig, refused: dict[int, str], runner: Runner, wire: Wire) -> dic
     """Who was refused, and why."""
     by_number = {**runner.present.all_refused, **refused, **runner.present.all_blame.sentences(rig.names)}
     return {**{rig.names[c]: why for c, why in by_number.items() if c < len(rig)}, **wire.refused}
-
-
-def pose_line(camera: str, rig: Rig, tracked: TrackedFrame, members: tuple[int, ...], refused: dict[str, str]) -> str:
-    """A frame as one line of JSON: see docs/network.md."""
-    pose, sigma = tracked.pose, tracked.pose.sigma
-    said = {
-        "node": camera,
-        "frame": pose.index,
-        "time": pose.time,
-        "status": pose.status.value,
-        "position": None if pose.world_from_object is None else pose.position.tolist(),
-        "quaternion": None if pose.world_from_object is None else pose.world_from_object.rotation.as_quat().tolist(),
-        "sigma_deg": [_number_or_none(np.degrees(s)) for s in sigma[:3]],
-        "sigma_position": [_number_or_none(s) for s in sigma[3:]],
-        "unit": rig.unit,
-        "took_part": [rig.names[c] for c in members],
-        "inliers": {name: int(n) for name, n in zip(rig.names, pose.inliers, strict=True)},
-        "faults": list(pose.faults),
-        "refused": refused,
-    }
-    return json.dumps(said)
-
-
-def _number_or_none(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 @contextmanager

@@ -46,7 +46,7 @@ def open_asked(
         return open_recorded(path, calibration, boxes, masks, offset)
     if offset:
         raise ValueError(
-            "--offset: frames of live cameras belong together by their times; --offsets FILE is for delays"
+            "--frame-offset: frames of live cameras belong together by their times; --offsets FILE is for delays"
         )
     if resume:
         raise ValueError("--resume: a live session cannot be gone back to")
@@ -85,5 +85,5 @@ def _offsets(given: Sequence[str] | None) -> dict[str, int] | None:
         except ValueError:
             camera = ""
         if not camera:
-            raise ValueError(f"--offset: CAMERA=FRAMES is expected, such as cam_2=5, got {text!r}")
+            raise ValueError(f"--frame-offset: CAMERA=FRAMES is expected, such as cam_2=5, got {text!r}")
     return offsets or None

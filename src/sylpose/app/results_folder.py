@@ -18,6 +18,7 @@ from filelock import FileLock, Timeout
 from sylpose.app.checkpoint import CHECKPOINT
 from sylpose.app.outputs import RESULT, SUFFIXES, TRACKED, TRACKS
 from sylpose.app.recalibrate import REFINED, REFINED_END
+from sylpose.app.record import SETTINGS, USED
 from sylpose.files import beside, output_folder, writing
 
 __all__ = ["EARLIER", "ResultsFolder", "alone_in"]
@@ -25,10 +26,11 @@ __all__ = ["EARLIER", "ResultsFolder", "alone_in"]
 LOCK = ".lock"
 # The earlier results; and while they are moved there or back; and while they are removed.
 EARLIER, MOVING, REMOVED = "earlier_results", ".earlier_results.moving", ".earlier_results.removed"
-# What a run writes; its checkpoint first, since without one nothing goes on from what is half there.
-_OVERLAY = re.compile(r"overlay(_\d+)?\.mp4")
+# What a run writes, and `sylpose view` of it; its checkpoint first, since without one nothing goes on from what is half
+# there.
+_MANY = re.compile(r"overlay(_\d+)?\.mp4|view_.+\.(tum|csv|png)")
 _NAMES = (CHECKPOINT, *(f"{stem}{end}" for stem in (RESULT, TRACKED) for end in SUFFIXES), "report.png")
-_OWN = (*_NAMES, REFINED, REFINED_END, TRACKS)
+_OWN = (*_NAMES, REFINED, REFINED_END, TRACKS, SETTINGS, USED)
 
 
 @contextmanager
@@ -125,7 +127,7 @@ class ResultsFolder:
         for folder in dict.fromkeys([self.path, *self.folders]):
             there = base / folder.relative_to(self.path)
             names = sorted(os.listdir(there), key=lambda name: name != CHECKPOINT) if there.is_dir() else []
-            found += [there / name for name in names if name in own or _OVERLAY.fullmatch(name)]
+            found += [there / name for name in names if name in own or _MANY.fullmatch(name)]
         return [file for file in found if file.is_file()]
 
     def _move(self, old: Path, new: Path) -> None:

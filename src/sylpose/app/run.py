@@ -12,6 +12,7 @@ from typing import Any
 from sylpose.app.clock import Clock
 from sylpose.app.opening import check_out
 from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
+from sylpose.app.record import SETTINGS, USED, write_record
 from sylpose.app.results_folder import ResultsFolder, alone_in
 from sylpose.app.saving import Saver
 from sylpose.app.state import OutputState, RunState
@@ -20,13 +21,13 @@ from sylpose.capture.live import LiveSession
 from sylpose.frames import FrameSet
 from sylpose.methods import FEATURES, METHODS, MODES, features_of
 from sylpose.network.stepwise import NodesTracker
-from sylpose.results import Trajectory
+from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig
 from sylpose.sync.offsets import find_offsets, retimed
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Memory, Tracker
 
-__all__ = ["CHECKPOINT_SECONDS", "Run", "has_ended", "output_path", "track_session"]
+__all__ = ["CHECKPOINT_SECONDS", "ONE_CAMERA_UNIT", "Run", "has_ended", "output_path", "track_session"]
 
 # Of the overlay where a recording does not say its rate, frames per second.
 IMAGE_RATE = 2.0
@@ -104,6 +105,7 @@ def track_session(
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
     on_resume: Callable[[int], None] | None = None,
     on_frame: Callable[[TrackedFrame], None] | None = None,
+    on_pose: Callable[[str, FramePose], None] | None = None,
     on_smoothing: Callable[[int], None] | None = None,
     on_problem: Callable[[str], None] | None = None,
     interrupted: Callable[[], bool] | None = None,
@@ -133,6 +135,7 @@ def track_session(
         checkpoint_seconds: between two checkpoints; 0 for one after every frame. Live sessions have none.
         on_resume: called with the number of frames that the interrupted run has solved.
         on_frame: called with each frame once it is in the trajectory files; of several objects, with each of them.
+        on_pose: called with the object's name and its pose in each frame, as it is tracked.
         on_smoothing: called with the number of each round in which the poses are refined together.
         on_problem: called with a sentence for each file that breaks off and each frame that cannot be read.
         interrupted: asked after each frame; when it says True, a checkpoint is written and KeyboardInterrupt raised.
@@ -166,7 +169,7 @@ def track_session(
 
     smooth = _is_smoothed(smooth, session, method, len(range(start, _end(session, stop), max(every, 1))))
     asked = {"method": method, "features": features, "seed": seed, "start": start, "stop": stop, "every": every}
-    asked |= {"offsets": offsets or None, "smooth": smooth, "refine_calibration": refine_calibration or None}
+    asked |= {"smooth": smooth, "refine_calibration": refine_calibration or None, "offsets": offsets or None}
     results, clock = _folder_of(session, out), Clock()
     check_out(session, results.path)
     frames = session.frames(start, stop, every, said)
@@ -207,6 +210,7 @@ def track_session(
         else:
             results.set_aside()
             whole.push(lambda error, *_: results.put_back() if error is not None and not begun() else None)
+            write_record(results.path, session, asked)
             if saver is not None:
                 saver.begin(RunState(0, _memories(trackers), states))
 
@@ -230,6 +234,8 @@ def track_session(
                     drawing.put(name, tracked)
                 if on_frame is not None:
                     on_frame(tracked)
+                if on_pose is not None:
+                    on_pose(name, tracked.pose)
 
         def state_now() -> RunState:
             return RunState(position, _memories(trackers), {name: output.state() for name, output in outputs.items()})
@@ -256,6 +262,7 @@ def track_session(
         stack.close()
         results.end()
     files = [file for output in outputs.values() for file in output.files] + ([overlay_path] if overlay else [])
+    files += [results.path / SETTINGS, results.path / USED]
     trajectories = {name: output.trajectory for name, output in outputs.items()}
     changes = {name: tuple(output.changes) for name, output in outputs.items()}
     network = {name: tracker.cost() for name, tracker in trackers.items() if isinstance(tracker, NodesTracker)}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -16,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from sylpose.app import text
 from sylpose.app.compiling import compile_all
 from sylpose.capture import Session
-from sylpose.files import replacing
+from sylpose.files import replacing, toml_key
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.results import Status
@@ -232,7 +230,7 @@ def write_offsets(synced: Synced, path: Path) -> None:
     """
     lines = ["# Seconds by which each camera's images are later than their times say, as found by `sylpose sync`."]
     for name, offset, sd, known in zip(synced.cameras, synced.offsets, synced.sd, synced.known, strict=True):
-        key = name if re.fullmatch("[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
+        key = toml_key(name)
         about = f"give or take {sd:.6f}" if np.isfinite(sd) else "not shown by the motion"
         lines.append(
             f"{key} = {offset:.6f}  # {known.value}: {about}" if np.isfinite(sd) else f"{key} = 0.0  # {about}"

@@ -32,6 +32,7 @@ if TYPE_CHECKING:  # loading these takes a second
 __all__ = [
     "RIG_HEADER",
     "TrackingProgress",
+    "frame_line",
     "headline",
     "length",
     "make_console",
@@ -51,9 +52,9 @@ LABEL = 14
 BETWEEN_LINES = 20.0  # seconds, of progress where there is no terminal
 
 
-def make_console(*, stderr: bool = False) -> Console:
+def make_console(*, stderr: bool = False, quiet: bool = False) -> Console:
     """A console that never breaks lines where nobody looks at them: in files and pipes."""
-    console = Console(stderr=stderr, highlight=False, emoji=False, markup=False)
+    console = Console(stderr=stderr, quiet=quiet, highlight=False, emoji=False, markup=False)
     if not console.is_terminal:
         console.width = 10_000
     return console
@@ -130,12 +131,14 @@ class TrackingProgress:
         cameras: how many.
         frames: how many, with those that are skipped; None when nobody knows.
         objects: `update` is called for each of them.
+        quiet: nothing is shown.
     """
 
-    def __init__(self, cameras: int, frames: int | None, objects: int = 1) -> None:
+    def __init__(self, cameras: int, frames: int | None, objects: int = 1, *, quiet: bool = False) -> None:
         self._updates, self._skipped, self._objects = 0, 0, objects
         self._said = time.monotonic()
-        console = make_console(stderr=True)
+        console = make_console(stderr=True, quiet=quiet)
+        self._quiet = quiet
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -146,7 +149,7 @@ class TrackingProgress:
             TimeRemainingColumn(compact=True),
             console=console,
             transient=True,
-            disable=not console.is_terminal,
+            disable=quiet or not console.is_terminal,
         )
         self._task = self._progress.add_task("Tracking", total=frames, rate="", inliers="")
 
@@ -190,11 +193,22 @@ class TrackingProgress:
         rate = f"{self.tracked / elapsed:.1f} frames/s" if elapsed else ""
         self._progress.update(self._task, completed=self.done, rate=rate, inliers=inliers)
         now = time.monotonic()
-        if self._progress.disable and now - self._said >= BETWEEN_LINES:
+        if self._progress.disable and not self._quiet and now - self._said >= BETWEEN_LINES:
             self._said = now
             total = self._progress.tasks[0].total
             of = "" if total is None else f" of {total:.0f}"
             say(f"tracked {self.done}{of} frames, {rate or 'no rate yet'}, {inliers}")
+
+
+def frame_line(name: str, pose: FramePose, cameras: Sequence[str], unit: str) -> str:
+    """A frame in one line: what happened, how well the pose is known, and by camera the inliers of the matches."""
+    said = f"{name}: " if name else ""
+    said += f"frame {pose.index}, {pose.time:.3f}: {pose.reason or pose.status.value}"
+    if pose.world_from_object is not None and np.isfinite(pose.sigma).all():
+        turn, move = np.degrees(np.linalg.norm(pose.sigma[:3])), float(np.linalg.norm(pose.sigma[3:]))
+        said += f", within {turn:.2g}° and {length(move, unit)}"
+    of = pose.matches if len(pose.matches) else pose.inliers
+    return f"{said}; " + ", ".join(f"{c} {n} of {m}" for c, n, m in zip(cameras, pose.inliers, of, strict=True))
 
 
 def print_summary(console: Console, run: Run, tracked: int) -> None:

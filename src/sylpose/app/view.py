@@ -7,6 +7,7 @@ from pathlib import Path
 
 from sylpose import calibration
 from sylpose.app import text
+from sylpose.app.record import USED
 from sylpose.report.files import read_trajectory, write_trajectory
 from sylpose.report.plots import plot_trajectory
 from sylpose.results import Trajectory
@@ -32,7 +33,7 @@ def view_aloud(
     Args:
         result: folder of the run, or its trajectory.csv.
         name: of a camera of the calibration, or with `eye` for the view.
-        given: a calibration; None for that of the run's session.
+        given: a calibration; None for that of the run.
         eye, at: where a virtual camera stands and what it looks at.
         out: folder for the files; None: beside the trajectory.
 
@@ -68,8 +69,8 @@ def read_result(path: Path) -> Trajectory:
 
 
 def calibration_of(result: Path, given: Path | None) -> Path:
-    """The calibration that a camera's name is looked up in: the given one, or that of the session that the run's folder
-    lies in.
+    """The calibration that a camera's name is looked up in: the given one, the one that the run used, or, of runs that
+    kept none, that of the session that the run's folder lies in.
 
     Raises:
         ValueError: none was given and there is none, or several.
@@ -77,6 +78,9 @@ def calibration_of(result: Path, given: Path | None) -> Path:
     if given is not None:
         return given
     folder = result if result.is_dir() else result.parent
+    for run in (folder, folder.parent):
+        if (run / USED).is_file():
+            return run / USED
     for session in (folder.parent, folder.parent.parent):  # of several objects, each has a folder in the run's
         try:
             return calibration.find(session)

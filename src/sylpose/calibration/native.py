@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import re
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from sylpose.calibration.build import convert, make_camera, make_pose, make_rig
+from sylpose.files import toml_key, toml_string
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = ["FORMAT", "read", "to_text"]
@@ -76,22 +75,21 @@ def read(data: dict[str, Any], path: Path) -> Rig:
 
 def to_text(rig: Rig) -> str:
     """The file's text; `read` gives the same rig back, bit for bit."""
-    head = f"{_HEADER}\nformat = {_string(FORMAT)}\nunit = {_string(rig.unit)}\n"
+    head = f"{_HEADER}\nformat = {toml_string(FORMAT)}\nunit = {toml_string(rig.unit)}\n"
     return head + "".join(_table(camera) for camera in rig)
 
 
 def _table(camera: Camera) -> str:
     pose = camera.camera_from_world.as_matrix()
     said = "" if camera.error_px is None else f"error_px = {camera.error_px!r}\n"
-    name = camera.name if re.fullmatch("[A-Za-z0-9_-]+", camera.name) else _string(camera.name)
     return f"""
-[cameras.{name}]
+[cameras.{toml_key(camera.name)}]
 size = {list(camera.size)}
-lens = {_string(camera.lens)}
+lens = {toml_string(camera.lens)}
 matrix = {_rows(camera.matrix)}
 distortion = {camera.distortion.tolist()}
 {said}
-[cameras.{name}.camera_from_world]
+[cameras.{toml_key(camera.name)}.camera_from_world]
 rotation = {_rows(pose[:3, :3])}
 translation = {pose[:3, 3].tolist()}
 """
@@ -100,8 +98,3 @@ translation = {pose[:3, 3].tolist()}
 def _rows(matrix: Any) -> str:
     # Python's repr of a float is its shortest text that reads back exactly, and valid TOML.
     return "[\n" + "".join(f"    {row},\n" for row in matrix.tolist()) + "]"
-
-
-def _string(text: str) -> str:
-    # A JSON string is a TOML string too, but for the one control character that JSON leaves as it is.
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

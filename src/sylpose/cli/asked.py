@@ -103,7 +103,9 @@ MasksFolder = Annotated[
 ]
 Offsets = Annotated[
     list[str] | None,
-    typer.Option("--offset", metavar="CAM=N", help="A camera that starts N frames late; may be given several times."),
+    typer.Option(
+        "--frame-offset", metavar="CAM=N", help="A camera that starts N frames late; may be given several times."
+    ),
 ]
 OutFolder = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Where the results go; SESSION/sylpose by default.")

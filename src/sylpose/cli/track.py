@@ -35,7 +35,7 @@ __all__ = ["track"]
     + examples(
         "sylpose track recording",
         "sylpose track recording --boxes first_frame.toml --out results",
-        "sylpose track recording --start 100 --stop 400 --every 2 --offset cam_2=5",
+        "sylpose track recording --start 100 --stop 400 --every 2 --frame-offset cam_2=5",
     )
 )
 @spoken
@@ -94,6 +94,12 @@ def track(
     rate: Annotated[
         float | None, typer.Option(metavar="HZ", help="With --follow: frames per second; for times in seconds.")
     ] = None,
+    poses: Annotated[
+        str | None,
+        typer.Option(metavar="TO", help="Tell each pose as a line of JSON: - for stdout, or udp://HOST:PORT."),
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say only what looks wrong, on stderr.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say a line for each frame.")] = False,
     seed: Seed = 0,
 ) -> None:
     """The object's pose in every frame of a recording, or of live cameras (a folder with live.toml).
@@ -131,6 +137,9 @@ def track(
         resume=resume,
         checkpoint_seconds=checkpoint,
         seed=seed,
+        quiet=quiet,
+        verbose=verbose,
+        poses=poses,
     )
     missing = why_nothing(opened, run)
     # What looked wrong from the start may be why, and has gone by long ago.

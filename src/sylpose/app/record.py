@@ -1,0 +1,71 @@
+"""What a run was asked for and the calibration that it used, beside its results."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from sylpose import __version__, calibration
+from sylpose.app.checkpoint import fingerprint
+from sylpose.capture import Session
+from sylpose.capture.live import LiveSession
+from sylpose.files import output_folder, replacing, toml_key, toml_string
+
+__all__ = ["SETTINGS", "USED", "write_record"]
+
+SETTINGS, USED = "settings.toml", "calibration.used.toml"
+# Whose versions answers may depend on, to rounding; OpenCV in whatever flavour there is.
+_OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python")
+_PACKAGES = ("numpy", "scipy", "numba", "av", *_OPENCV)
+_HEAD = f"# What this run of sylpose was asked for. The calibration that it used is beside it, in {USED}.\n"
+
+
+def write_record(folder: Path, session: Session | LiveSession, options: Mapping[str, object]) -> list[Path]:
+    """Writes `settings.toml` and `calibration.used.toml`; returns these files.
+
+    Args:
+        options: numbers, words or tables of these by the names that `track_session` has for them; None is left out.
+
+    Raises:
+        OSError: naming the file that cannot be written.
+    """
+    output_folder(folder)
+    begun = datetime.now(UTC).isoformat(timespec="seconds")
+    asked = {name: value for name, value in options.items() if value is not None}
+    text = f"{_HEAD}begun = {begun}\nrecording = {toml_string(str(session.path.resolve()))}\n"
+    text += f"calibration = {toml_string(str(session.calibration.resolve()))}\n"
+    text += _table("options", {name: value for name, value in asked.items() if not isinstance(value, Mapping)})
+    for name, value in asked.items():
+        if isinstance(value, Mapping):
+            text += _table(name, value)
+    if isinstance(session, Session):
+        text += "\n# Of what the result depends on; images count by their names and sizes."
+        text += _table("checksums", fingerprint(session))
+    text += _table("versions", _versions())
+    settings, used = folder / SETTINGS, folder / USED
+    with replacing(settings) as part:
+        part.write_text(text, encoding="utf-8")
+    calibration.save(session.rig, used)
+    return [settings, used]
+
+
+def _versions() -> dict[str, str]:
+    found = {"sylpose": __version__, "python": platform.python_version(), "system": platform.platform(terse=True)}
+    for package in _PACKAGES:
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found
+
+
+def _table(name: str, values: Mapping[str, object]) -> str:
+    return f"\n[{name}]\n" + "".join(f"{toml_key(key)} = {_value(value)}\n" for key, value in values.items())
+
+
+def _value(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return toml_string(value) if isinstance(value, str) else repr(value)
