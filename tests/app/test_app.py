@@ -219,7 +219,10 @@ def test_live_cameras_are_tracked_to_their_end(session: Path, capsys: pytest.Cap
     assert f"session: 3 cameras, live at {RATE} per second" in said.out
     assert "Left out in all: frame" in said.out
     out = session / "sylpose"
-    assert {file.name for file in out.iterdir()} == {"trajectory.tum", "trajectory.csv", "report.png", "overlay.mp4"}
+    assert {file.name for file in out.iterdir()} == {
+        *("trajectory.tum", "trajectory.csv", "report.png", "overlay.mp4"),
+        *("settings.toml", "calibration.used.toml"),
+    }
     trajectory = read_trajectory(out / "trajectory.csv")
     assert len(trajectory) >= FRAMES - 2
     assert trajectory.solved.mean() > 0.8

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from sylpose import calibration
+from sylpose.app.record import SETTINGS, USED
 from sylpose.app.results_folder import EARLIER
 from sylpose.app.run import has_ended, track_session
 from sylpose.app.sync import Synced, write_offsets
@@ -135,7 +136,7 @@ def test_at_any_moment(
             run(opened, out, smooth, resume=True)
         assert texts(out) == whole[smooth], at
         left = {file.name for file in out.iterdir()}
-        assert left == {*whole[smooth], "report.png"}, at
+        assert left == {*whole[smooth], "report.png", SETTINGS, USED}, at
 
 
 def broken(session: Session, out: Path, smooth: bool) -> str:

@@ -45,6 +45,7 @@ from tests.where import DATA
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 OUTPUTS = {"trajectory.tum", "trajectory.csv", "tracked.tum", "tracked.csv", "report.png", "overlay.mp4"}
+OUTPUTS |= {"settings.toml", "calibration.used.toml"}
 
 
 class Result:

@@ -138,10 +138,12 @@ def test_view_needs_no_calibration_of_a_result_anywhere(
     out = tmp_path / "somewhere"
     assert main(["track", str(recording), "--out", str(out), *ASKED]) == 0
     moved = Path(shutil.move(out, tmp_path / "else"))
-    assert main(["view", str(moved), "cam_1"]) == 0
+    assert main(["view", str(moved), "cam_1", "--format", "svg"]) == 0
+    assert (moved / "view_cam_1.svg").exists()
     assert (moved / "view_cam_1.csv").exists()
     # The views of an earlier run do not stay beside a new one's results.
-    assert main(["track", str(recording), "--out", str(moved), *ASKED]) == 0
+    assert main(["track", str(recording), "--out", str(moved), *ASKED, "--format", "pdf"]) == 0
     assert not list(moved.glob("view_*"))
+    assert [file.name for file in moved.glob("report.*")] == ["report.pdf"]
     assert main(["view", str(moved), "cam_9"]) == 2
     assert "no camera 'cam_9'" in capsys.readouterr().err

@@ -7,6 +7,7 @@ import shutil
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import av
 import cv2
@@ -275,6 +276,16 @@ def test_files_that_are_no_trajectories(tmp_path: Path) -> None:
 # Plots
 
 
+@pytest.mark.parametrize("end", ["png", "svg", "pdf"])
+def test_equal_reports_are_equal_files(tmp_path: Path, end: str) -> None:
+    files = [tmp_path / f"{k}.{end}" for k in range(2)]
+    for file in files:
+        plot_trajectory(turning(6, 9), file, note="demo")
+    assert files[0].read_bytes() == files[1].read_bytes()
+    magic = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
+    assert files[0].read_bytes().startswith(magic[end])
+
+
 @pytest.mark.parametrize("n", [1, 3, 6, 120])
 def test_report_of_any_length(tmp_path: Path, n: int) -> None:
     plot_trajectory(turning(n, 9, cameras=3), tmp_path / "report.png")
@@ -288,6 +299,17 @@ def test_report_without_any_pose(tmp_path: Path) -> None:
     lost = Trajectory([frame_pose(i, None, FrameStatus.NO_MOTION) for i in range(4)], NAMES)
     plot_trajectory(lost, tmp_path / "report.png")
     assert summary(lost) == "0 of 4 frames with a pose"
+    reasons = [f"camera {k} is dark" for k in range(4)] * 2 + [f"frame {k}" for k in range(6)]
+    told = Trajectory([replace(frame_pose(i, None, FrameStatus.LOST), reason=r) for i, r in enumerate(reasons)], NAMES)
+    plot_trajectory(told, tmp_path / "why.svg", note="cup_$1, méthode <x>")
+    said = " ".join("".join(text.itertext()) for text in ElementTree.parse(tmp_path / "why.svg").iter())
+    for words in (
+        FrameStatus.LOST.text[:40],
+        "2 frames: camera 3 is dark",
+        "and 2 more reasons",
+        "cup_$1, méthode <x>",
+    ):
+        assert words in said, words
     with pytest.raises(ValueError, match="no frames"):
         plot_trajectory(Trajectory([], NAMES), tmp_path / "none.png")
     assert not (tmp_path / "none.png").exists()

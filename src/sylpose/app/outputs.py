@@ -32,7 +32,7 @@ OVERLAY_QUEUE = 4
 
 
 class ObjectOutput:
-    """The files of one object: trajectory.tum and .csv frame by frame, report.png when it is closed.
+    """The files of one object: trajectory.tum and .csv frame by frame, the report when it is closed.
 
     Args:
         folder: made when it is not there.
@@ -41,6 +41,8 @@ class ObjectOutput:
             them.
         recalibrate: refine the calibration with it, and write it too.
         clock: counts the time of "plots" and "smoothing".
+        plot_format: what the report's name ends with.
+        note: what it is a report of, a line.
         resume: of an earlier run, to go on with its files. Nothing of them is cut or removed before there is as much again.
 
     Raises:
@@ -55,12 +57,14 @@ class ObjectOutput:
         *,
         smooth: bool = False,
         recalibrate: bool = False,
+        plot_format: str = "png",
+        note: str = "",
         resume: OutputState | None = None,
     ) -> None:
         self.folder, self._rig, self._clock = output_folder(folder), rig, clock
         self.changes: list[str] = []
-        self._recalibrate = recalibrate
-        self.report_path = self.folder / "report.png"
+        self._recalibrate, self._note = recalibrate, note
+        self.report_path = self.folder / f"report.{plot_format}"
         state = OutputState() if resume is None else resume
         stem = TRACKED if smooth else RESULT
         writer = None if resume is None else resume.writer
@@ -147,7 +151,7 @@ class ObjectOutput:
             with self._clock.part("plots"):
                 from sylpose.report.plots import plot_trajectory
 
-                plot_trajectory(self._whole, self.report_path)
+                plot_trajectory(self._whole, self.report_path, note=self._note)
 
 
 def _frames_in(path: Path) -> int:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from sylpose import __version__
 from sylpose.app.clock import Clock
 from sylpose.app.opening import check_out
 from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
@@ -21,6 +23,7 @@ from sylpose.capture.live import LiveSession
 from sylpose.frames import FrameSet
 from sylpose.methods import FEATURES, METHODS, MODES, features_of
 from sylpose.network.stepwise import NodesTracker
+from sylpose.report.formats import FORMATS
 from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig
 from sylpose.sync.offsets import find_offsets, retimed
@@ -98,6 +101,7 @@ def track_session(
     overlay: bool = True,
     smooth: bool | None = None,
     refine_calibration: bool = False,
+    plot_format: str = "png",
     seed: int = 0,
     workers: int | None = None,
     distributed: str | None = None,
@@ -128,6 +132,7 @@ def track_session(
         smooth: refine all poses together at the end (`sylpose.smoothing`); as tracked they are in `tracked.tum` and .csv.
             None: recordings of up to 10,000 frames, with the method "landmarks".
         refine_calibration: smooth, and refine the calibration with the poses; it goes to `calibration.refined.toml`.
+        plot_format: of the report: "png", "svg" or "pdf".
         workers: as in `Tracker`; the result does not depend on it.
         distributed: None for one process; "exact" or "economical": by nodes, one for each camera, over a simulated network
             (`network.stepwise`), of a recording.
@@ -150,6 +155,8 @@ def track_session(
     features_of(method, features)
     if not checkpoint_seconds >= 0:
         raise ValueError(f"--checkpoint must be a number of seconds, 0 or more, got {checkpoint_seconds}")
+    if plot_format not in FORMATS:
+        raise ValueError(f"plot_format must be one of {', '.join(FORMATS)}, got {plot_format!r}")
     if workers is not None and workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}")
     if distributed is not None:
@@ -217,7 +224,16 @@ def track_session(
         stack = whole.enter_context(ExitStack())
         for name, own in zip(session.objects, results.folders, strict=True):
             state = None if saver is None else states[name]
-            outputs[name] = ObjectOutput(own, rig, clock, smooth=smooth, recalibrate=refine_calibration, resume=state)
+            outputs[name] = ObjectOutput(
+                own,
+                rig,
+                clock,
+                smooth=smooth,
+                recalibrate=refine_calibration,
+                plot_format=plot_format,
+                note=_note(session, name, method, smooth),
+                resume=state,
+            )
             stack.callback(outputs[name].close)
         drawing = None
         overlay_path = results.path / (f"overlay_{start + position * every}.mp4" if position else "overlay.mp4")
@@ -267,6 +283,13 @@ def track_session(
     changes = {name: tuple(output.changes) for name, output in outputs.items()}
     network = {name: tracker.cost() for name, tracker in trackers.items() if isinstance(tracker, NodesTracker)}
     return Run(trajectories, tuple(files), tuple(problems), clock.seconds, changes, network)
+
+
+def _note(session: Session | LiveSession, name: str, method: str, smooth: bool) -> str:
+    """What a report is of."""
+    of = session.path.resolve().name + (f", {name}" if len(session.objects) > 1 else "")
+    how = f"method {method}" + (", refined together" if smooth else "")
+    return f"{of}, {how}, sylpose {__version__}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"
 
 
 def _refuse(distributed: str, session: Session | LiveSession, *, resume: bool) -> None:

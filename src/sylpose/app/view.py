@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from sylpose import calibration
+from sylpose import __version__, calibration
 from sylpose.app import text
 from sylpose.app.record import USED
 from sylpose.report.files import read_trajectory, write_trajectory
@@ -27,6 +27,7 @@ def view_aloud(
     eye: tuple[float, float, float] | None,
     at: tuple[float, float, float] | None,
     out: Path | None,
+    plot_format: str = "png",
 ) -> None:
     """Writes a run's trajectory as a camera sees it, and says into which files.
 
@@ -36,6 +37,7 @@ def view_aloud(
         given: a calibration; None for that of the run.
         eye, at: where a virtual camera stands and what it looks at.
         out: folder for the files; None: beside the trajectory.
+        plot_format: what the picture's name ends with.
 
     Raises:
         ValueError, OSError: as the functions below; options that exclude each other.
@@ -50,7 +52,7 @@ def view_aloud(
     else:
         camera = looked_up(name, calibration_of(result, given))
     folder = out if out is not None else result if result.is_dir() else result.parent
-    text.print_files(text.make_console(), "Files", write_view(trajectory, name, camera, folder))
+    text.print_files(text.make_console(), "Files", write_view(trajectory, name, camera, folder, plot_format))
 
 
 def read_result(path: Path) -> Trajectory:
@@ -120,8 +122,8 @@ def standing(
     return camera_at(name, eye, at, FOCAL, SIZE)
 
 
-def write_view(trajectory: Trajectory, name: str, camera: Camera, folder: Path) -> list[Path]:
-    """Writes view_NAME.tum, .csv and .png, the trajectory with the camera in the world's place; returns these files.
+def write_view(trajectory: Trajectory, name: str, camera: Camera, folder: Path, plot_format: str = "png") -> list[Path]:
+    """Writes view_NAME.tum, .csv and a picture, the trajectory with the camera in the world's place; returns these files.
 
     A trajectory that was read from its file has standard deviations only: they are turned as if they were independent.
 
@@ -134,6 +136,6 @@ def write_view(trajectory: Trajectory, name: str, camera: Camera, folder: Path) 
     view = trajectory_view(trajectory, camera)
     stem = f"view_{name}"
     files = write_trajectory(folder, view, stem=stem, world=name)
-    picture = folder / f"{stem}.png"
-    plot_trajectory(view, picture)
+    picture = folder / f"{stem}.{plot_format}"
+    plot_trajectory(view, picture, note=f"{folder.resolve().name}, as {name} sees it, sylpose {__version__}")
     return [*files, picture]

@@ -11,6 +11,7 @@ from typing import Annotated, NoReturn, ParamSpec
 import typer
 
 from sylpose.reading import SENTENCE, one_line
+from sylpose.report.formats import FORMATS
 
 __all__ = [
     "INTERRUPTED",
@@ -21,6 +22,7 @@ __all__ = [
     "Offsets",
     "OutFolder",
     "Overlay",
+    "PlotFormat",
     "RefineCalibration",
     "Seed",
     "SessionPath",
@@ -127,6 +129,12 @@ def one_of(choices: Sequence[str]) -> Callable[[str], str]:
         return name
 
     return check
+
+
+PlotFormat = Annotated[
+    str,
+    typer.Option("--format", metavar="|".join(FORMATS), help="Of pictures of trajectories.", callback=one_of(FORMATS)),
+]
 
 
 def fail(sentences: Sequence[str]) -> NoReturn:

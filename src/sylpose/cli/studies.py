@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import Seed, app, examples, fail, spoken
+from sylpose.cli.asked import PlotFormat, Seed, app, examples, fail, spoken
 
 __all__ = ["demo", "experiments", "view"]
 
@@ -51,7 +51,7 @@ def view(
     camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A camera's name; with --from, a name for the view.")],
     calibration: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Where CAMERA is looked up; by default beside RESULT, in its session."),
+        typer.Option(metavar="FILE", help="Where CAMERA is looked up; the one that the run used by default."),
     ] = None,
     eye: Annotated[
         tuple[float, float, float] | None,
@@ -62,6 +62,7 @@ def view(
         typer.Option("--at", metavar="X Y Z", help="What it looks at; where the object was first by default."),
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the view goes; RESULT by default.")] = None,
+    plot_format: PlotFormat = "png",
 ) -> None:
     """A finished trajectory in the axes of a camera: one of the rig, one that saw nothing, or a virtual one.
 
@@ -69,7 +70,7 @@ def view(
     """
     from sylpose.app.view import view_aloud
 
-    view_aloud(result, camera, calibration, eye, at, out)
+    view_aloud(result, camera, calibration, eye, at, out, plot_format)
 
 
 @app.command(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -32,6 +35,8 @@ NO_POSE_COLOR, PARTIAL_COLOR, COASTING_COLOR, STRAIGHT_COLOR = "#BBBBBB", "#F0E4
 UNCERTAIN_COLOR = "#F4B6B6"
 INK = "#333333"
 
+# So many lines of a picture say why there is no pose.
+MOST_REASONS = 8
 # With more frames than this, markers would run into each other.
 MARKED_FRAMES = 80
 
@@ -70,16 +75,18 @@ def summary(trajectory: Trajectory) -> str:
     return ", ".join(parts)
 
 
-def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
+def plot_trajectory(trajectory: Trajectory, path: Path | str, *, note: str = "") -> None:
     """Draws pan, tilt, roll and the total turn, the position since the start, inliers and residuals per camera over time.
 
     Bands are two standard deviations either way, to first order in the covariance. Poses that are carried on only
     (coasting) or hardly known (uncertain) are dotted and pale; these frames and those without a pose are shaded. While
-    a camera disagrees with the others, the cameras' panels are shaded in its colour, and the title says so.
+    a camera disagrees with the others, the cameras' panels are shaded in its colour, and the title says so. Where no frame
+    has a pose, the picture says why instead.
 
     Args:
         trajectory: of at least one frame.
-        path: of the picture (.png, .pdf, .svg); replaced when it is there.
+        path: of the picture (.png, .svg, .pdf); replaced when it is there.
+        note: a line below, of what this is a picture of.
 
     Raises:
         ValueError: a trajectory without frames.
@@ -87,6 +94,9 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     """
     title = summary(trajectory)
     solved = trajectory.solved
+    if not any(f.world_from_object is not None for f in trajectory):
+        save_figure(_why_nothing(trajectory, title, note), path)
+        return
     pale = np.array([f.status in (FrameStatus.COASTING, FrameStatus.UNCERTAIN) for f in trajectory])
     times = trajectory.times
     marker = "." if len(trajectory) <= MARKED_FRAMES else ""
@@ -153,7 +163,41 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     _legend(position, [line for line in position.get_lines() if not str(line.get_label()).startswith("_")])
     _legend(inliers, list(inliers.get_lines()))
     figure.align_ylabels(panels)
+    _put_note(figure, note)
     save_figure(figure, path)
+
+
+def _put_note(figure: Figure, note: str) -> None:
+    if note:
+        figure.text(0.01, -0.005, note, fontsize=8.5, color="#666666", verticalalignment="top", parse_math=False)
+
+
+def _why_nothing(trajectory: Trajectory, title: str, note: str) -> Figure:
+    """What happened to the frames of a trajectory without any pose."""
+    said = [
+        f"{count} frame{'s' if count > 1 else ''}: {status.value}. {status.text}"
+        for status, count in Counter(f.status for f in trajectory).most_common()
+    ]
+    reasons = Counter(f.reason for f in trajectory if f.reason).most_common()
+    said += [f"{count} frame{'s' if count > 1 else ''}: {reason}" for reason, count in reasons[:MOST_REASONS]]
+    if len(reasons) > MOST_REASONS:
+        said.append(f"and {len(reasons) - MOST_REASONS} more reasons: see the column reason of trajectory.csv")
+    lines = [line for sentence in said for line in textwrap.wrap(sentence, 130, subsequent_indent="    ")]
+    text, height = "\n".join(lines), 1.2 + 0.25 * len(lines)
+    figure = new_figure(11.5, height)
+    figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
+    figure.text(
+        0.02,
+        1.0 - 0.5 / height,
+        text,
+        fontsize=10,
+        color=INK,
+        verticalalignment="top",
+        linespacing=1.6,
+        parse_math=False,
+    )
+    _put_note(figure, note)
+    return figure
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -171,7 +215,12 @@ def save_figure(figure: Figure, path: Path | str) -> None:
         OSError: naming the file, when it cannot be written.
     """
     with replacing(path) as part:
-        figure.savefig(part, bbox_inches="tight", pad_inches=0.15)
+        # Without their dates, equal figures are equal files.
+        dated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+        end = part.suffix.removeprefix(".")
+        # Text stays text, which can be searched and edited.
+        with rc_context({"svg.hashsalt": "sylpose", "svg.fonttype": "none", "pdf.fonttype": 42}):
+            figure.savefig(part, bbox_inches="tight", pad_inches=0.15, metadata=dated.get(end))
 
 
 def _readable(length: float, unit: str) -> tuple[float, str]:
