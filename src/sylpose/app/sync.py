@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import pairwise
 from pathlib import Path
@@ -34,6 +34,9 @@ MAX_LAG = 3.0
 # The object is tracked for so many frames at most, so many times, until no offset changes by so much (seconds), or by
 # more than its standard deviation (choice: 20 s at 30 per second; what moves by 1000 px/s moves by 0.1 px in it).
 TRACKED, ROUNDS, SETTLED = 600, 4, 1e-4
+# It is tracked again once an offset has changed by so many frames since: less changes nothing in which of its features are
+# matched (choice).
+AGAIN = 0.1
 # SIFT: matched anew in every frame, its errors do not go along with the motion as those of followed features do.
 FEATURES = "sift"
 # What is believed of the offsets before each round, frames; and what a camera's must be known to, to count as found
@@ -137,12 +140,16 @@ def sync_session(
     one = session.of(session.objects[0])
     offsets, sd, settled, frames = whole, np.full(n, np.inf), False, 0
     before = after = np.full(n, np.nan)
+    followed, then = list[Track](), offsets
     for k in range(ROUNDS):
-        moved = retimed(one, offsets)
-        end = min(moved.n_frames if stop is None else stop, start + TRACKED, moved.n_frames)
-        # What is wrong with the files has been said.
-        sets = watch(f"Tracking, round {k + 1}", end - start, moved.frames(start, end, 1, _unsaid))
-        tracks = [Track.of(t) for t in track(sets, moved.rig, moved.boxes or None, features=FEATURES, seed=seed)]
+        if k == 0 or (np.abs(offsets - then) * rate > AGAIN).any():
+            moved, then = retimed(one, offsets), offsets
+            end = min(moved.n_frames if stop is None else stop, start + TRACKED, moved.n_frames)
+            # What is wrong with the files has been said.
+            sets = watch(f"Tracking, round {k + 1}", end - start, moved.frames(start, end, 1, _unsaid))
+            seen = track(sets, moved.rig, moved.boxes or None, features=FEATURES, seed=seed)
+            followed = [Track.of(tracked) for tracked in seen]
+        tracks = [replace(one_of, late=one_of.late + (offsets - then)) for one_of in followed]
         found = smooth(tracks, moved.rig, offsets_sd=BELIEF / rate)
         frames = sum(t.pose.measured for t in tracks)
         if found.status is Status.TOO_FEW_MATCHES:
