@@ -140,7 +140,7 @@ def sync_session(
     one = session.of(session.objects[0])
     offsets, sd, settled, frames = whole, np.full(n, np.inf), False, 0
     before = after = np.full(n, np.nan)
-    followed, then = list[Track](), offsets
+    followed, then = list[Track](), offsets  # with these offsets; frames without a pose have no delays
     for k in range(ROUNDS):
         if k == 0 or (np.abs(offsets - then) * rate > AGAIN).any():
             moved, then = retimed(one, offsets), offsets
@@ -149,7 +149,7 @@ def sync_session(
             sets = watch(f"Tracking, round {k + 1}", end - start, moved.frames(start, end, 1, _unsaid))
             seen = track(sets, moved.rig, moved.boxes or None, features=FEATURES, seed=seed)
             followed = [Track.of(tracked) for tracked in seen]
-        tracks = [replace(one_of, late=one_of.late + (offsets - then)) for one_of in followed]
+        tracks = [replace(one_of, late=one_of.late + (offsets - then)[: len(one_of.late)]) for one_of in followed]
         found = smooth(tracks, moved.rig, offsets_sd=BELIEF / rate)
         frames = sum(t.pose.measured for t in tracks)
         if found.status is Status.TOO_FEW_MATCHES:
