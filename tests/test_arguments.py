@@ -47,6 +47,8 @@ ELSEWHERE = {
     "open_session": "reads files: test_fuzz_readers.py, calibration/, capture/",
     "open_live": "the same",
     "track_session": "the same; its options: app/",
+    "load_object": "reads a file: app/test_object_files.py",
+    "save_object": "writes it: the same",
     "Session.frames": "the same",
     "Session.of": "the same",
     "LiveSession.frames": "the same",

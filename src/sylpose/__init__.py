@@ -22,6 +22,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sylpose.app.object_files import load_object, save_object
     from sylpose.app.run import Run, track_session
     from sylpose.capture import Session, Source, Timeline, open_session
     from sylpose.capture.live import LiveSession, open_live
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     from sylpose.rig import Camera, Rig
     from sylpose.tracking.frame import Sought
     from sylpose.tracking.joint import Nudge
+    from sylpose.tracking.known_object import KnownObject
     from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
     from sylpose.tracking.tracker import track
     from sylpose.two_frames.motion import estimate_motion, estimate_motions
@@ -77,6 +79,7 @@ __all__ = [
     "FrameStatus",
     "Grab",
     "KnownDepthSolution",
+    "KnownObject",
     "LiveSession",
     "Matches",
     "Motion",
@@ -102,8 +105,10 @@ __all__ = [
     "estimate_motion",
     "estimate_motions",
     "estimate_pose",
+    "load_object",
     "open_live",
     "open_session",
+    "save_object",
     "solve_2d3d",
     "solve_3d3d",
     "solve_centralized",
@@ -125,6 +130,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "sylpose.app.object_files": ("load_object", "save_object"),
     "sylpose.app.run": ("Run", "track_session"),
     "sylpose.capture": ("Session", "Source", "Timeline", "open_session"),
     "sylpose.capture.live": ("LiveSession", "open_live"),
@@ -154,6 +160,7 @@ _HOMES = {
     "sylpose.results": ("FramePose", "FrameStatus", "Motion", "Observable", "RotationEstimate", "Status", "Trajectory"),
     "sylpose.rig": ("Camera", "Rig"),
     "sylpose.tracking.joint": ("Nudge",),
+    "sylpose.tracking.known_object": ("KnownObject",),
     "sylpose.tracking.frame": ("Sought",),
     "sylpose.tracking.tracked_frame": ("Sightings", "TrackedFrame"),
     "sylpose.tracking.tracker": ("track",),

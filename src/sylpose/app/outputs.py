@@ -9,6 +9,7 @@ from pathlib import Path
 
 from sylpose.adjustment.calibration import usual_doubt
 from sylpose.app.clock import Clock
+from sylpose.app.object_files import CLOUD, OBJECT, save_object, write_cloud
 from sylpose.app.recalibrate import changes, moved_cameras, write_refined
 from sylpose.app.state import OutputState
 from sylpose.app.tracks import FrameFile
@@ -16,7 +17,9 @@ from sylpose.files import output_folder
 from sylpose.report.files import TrajectoryWriter, write_trajectory
 from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
+from sylpose.smoothing.known import tracks_of
 from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["MAX_SMOOTHED", "RESULT", "SUFFIXES", "TRACKED", "TRACKS", "ObjectOutput", "Overlay"]
@@ -43,6 +46,7 @@ class ObjectOutput:
         clock: counts the time of "plots" and "smoothing".
         plot_format: what the report's name ends with.
         note: what it is a report of, a line.
+        known: the object, if that is known from another take.
         resume: of an earlier run, to go on with its files. Nothing of them is cut or removed before there is as much again.
 
     Raises:
@@ -59,11 +63,12 @@ class ObjectOutput:
         recalibrate: bool = False,
         plot_format: str = "png",
         note: str = "",
+        known: KnownObject | None = None,
         resume: OutputState | None = None,
     ) -> None:
         self.folder, self._rig, self._clock = output_folder(folder), rig, clock
         self.changes: list[str] = []
-        self._recalibrate, self._note = recalibrate, note
+        self._recalibrate, self._note, self._known = recalibrate, note, known
         self.report_path = self.folder / f"report.{plot_format}"
         state = OutputState() if resume is None else resume
         stem = TRACKED if smooth else RESULT
@@ -97,6 +102,9 @@ class ObjectOutput:
     def write(self, tracked: TrackedFrame) -> None:
         """Appends a frame to the files."""
         self._writer.write(tracked.pose)
+        if self._tracks is not None and self._known is not None and not self.n_frames:
+            for track in tracks_of(self._known, self._rig, tracked.pose.time):
+                self._tracks.write(track)
         self._keep(tracked.pose)
         if self._tracks is not None:
             self._tracks.write(Track.of(tracked))
@@ -129,11 +137,19 @@ class ObjectOutput:
             result = smooth(
                 tracks, self._rig, doubt=doubt, recalibrate=self._recalibrate, moved=moved, on_round=on_round
             )
-            self._whole = self._of(result.poses)
+            self._whole = self._of(result.poses[len(tracks) - self.n_frames :])
             if result.correction is not None:
                 self.files += write_refined(self.folder, result.correction, self._rig.names, result.moved)
                 self.changes += changes(result.correction, self._rig, result.moved)
         return None if result.status is Status.OK else f"Smoothing: {result.status.text}"
+
+    def write_object(self, learnt: KnownObject | None) -> None:
+        """What is known of the object in the end, for another take and to look at; nothing where that is next to nothing."""
+        if learnt is None:
+            return
+        save_object(learnt, self.folder / OBJECT)
+        write_cloud(learnt, self.folder / CLOUD)
+        self.files += [self.folder / OBJECT, self.folder / CLOUD]
 
     def close(self) -> None:
         """Finishes the files with the frames there are. Where the run did not come to its end, a result that is there and

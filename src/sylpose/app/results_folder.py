@@ -16,6 +16,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from sylpose.app.checkpoint import CHECKPOINT
+from sylpose.app.object_files import CLOUD, OBJECT
 from sylpose.app.outputs import RESULT, SUFFIXES, TRACKED, TRACKS
 from sylpose.app.recalibrate import REFINED, REFINED_END
 from sylpose.app.record import SETTINGS, USED
@@ -30,7 +31,7 @@ EARLIER, MOVING, REMOVED = "earlier_results", ".earlier_results.moving", ".earli
 # there.
 _MANY = re.compile(r"overlay(_\d+)?\.mp4|report\.(png|svg|pdf)|view_.+\.(tum|csv|png|svg|pdf)")
 _NAMES = (CHECKPOINT, *(f"{stem}{end}" for stem in (RESULT, TRACKED) for end in SUFFIXES))
-_OWN = (*_NAMES, REFINED, REFINED_END, TRACKS, SETTINGS, USED)
+_OWN = (*_NAMES, REFINED, REFINED_END, TRACKS, SETTINGS, USED, OBJECT, CLOUD)
 
 
 @contextmanager

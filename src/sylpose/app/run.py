@@ -12,6 +12,7 @@ from typing import Any
 
 from sylpose import __version__
 from sylpose.app.clock import Clock
+from sylpose.app.object_files import checksum_of
 from sylpose.app.opening import check_out
 from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
 from sylpose.app.record import SETTINGS, USED, write_record
@@ -27,6 +28,7 @@ from sylpose.report.formats import FORMATS
 from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig
 from sylpose.sync.offsets import find_offsets, retimed
+from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Memory, Tracker
 
@@ -102,6 +104,7 @@ def track_session(
     smooth: bool | None = None,
     refine_calibration: bool = False,
     plot_format: str = "png",
+    known: KnownObject | Mapping[str, KnownObject] | None = None,
     seed: int = 0,
     workers: int | None = None,
     distributed: str | None = None,
@@ -133,6 +136,8 @@ def track_session(
             None: recordings of up to 10,000 frames, with the method "landmarks".
         refine_calibration: smooth, and refine the calibration with the poses; it goes to `calibration.refined.toml`.
         plot_format: of the report: "png", "svg" or "pdf".
+        known: the object, or objects by name, as another take has learnt them (`app.object_files`): their poses are told in
+            the frame that they had there. Their boxes are not used.
         workers: as in `Tracker`; the result does not depend on it.
         distributed: None for one process; "exact" or "economical": by nodes, one for each camera, over a simulated network
             (`network.stepwise`), of a recording.
@@ -160,7 +165,7 @@ def track_session(
     if workers is not None and workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}")
     if distributed is not None:
-        _refuse(distributed, session, resume=resume)
+        _refuse(distributed, session, resume=resume, known=bool(known))
     smooth = True if refine_calibration else smooth
     offsets = find_offsets(session) if offsets is None else dict(offsets)
     if isinstance(session, Session):  # then they are in its time stamps
@@ -176,6 +181,14 @@ def track_session(
 
     smooth = _is_smoothed(smooth, session, method, len(range(start, _end(session, stop), max(every, 1))))
     asked = {"method": method, "features": features, "seed": seed, "start": start, "stop": stop, "every": every}
+    if isinstance(known, KnownObject):
+        if len(session.objects) > 1:
+            raise ValueError(f"known: several objects ({', '.join(session.objects)}): give them by name")
+        known = {session.objects[0]: known}
+    known = dict(known or {})
+    if unknown := known.keys() - {*session.objects}:
+        raise ValueError(f"known: no object {', '.join(map(repr, sorted(unknown)))} in {session.path}")
+    asked["known"] = ", ".join(f"{name} {checksum_of(its)}" for name, its in known.items()) or None
     asked |= {"smooth": smooth, "refine_calibration": refine_calibration or None, "offsets": offsets or None}
     results, clock = _folder_of(session, out), Clock()
     check_out(session, results.path)
@@ -193,7 +206,9 @@ def track_session(
     with ExitStack() as whole:
         trackers: dict[str, Tracker | NodesTracker] = {}
         for name in session.objects:
-            trackers[name] = whole.enter_context(of(session.rig, session.of(name).boxes or None, **options))
+            boxes = None if name in known else session.of(name).boxes or None
+            more = {"known": known[name]} if name in known else {}
+            trackers[name] = whole.enter_context(of(session.rig, boxes, **options, **more))
         if resume and not results.path.is_dir():
             raise FileNotFoundError(f"{results.path}: no interrupted run to resume (there is no such folder)")
         # Up to here nothing was written.
@@ -232,6 +247,7 @@ def track_session(
                 recalibrate=refine_calibration,
                 plot_format=plot_format,
                 note=_note(session, name, method, smooth),
+                known=known.get(name),
                 resume=state,
             )
             stack.callback(outputs[name].close)
@@ -275,6 +291,9 @@ def track_session(
         for name, output in outputs.items():
             if sentence := output.finish(on_smoothing):
                 said(sentence if len(outputs) == 1 else f"{name}: {sentence}")
+        for name, tracker in trackers.items():
+            if isinstance(tracker, Tracker) and method == METHODS[0]:
+                outputs[name].write_object(tracker.learnt())
         stack.close()
         results.end()
     files = [file for output in outputs.values() for file in output.files] + ([overlay_path] if overlay else [])
@@ -292,12 +311,14 @@ def _note(session: Session | LiveSession, name: str, method: str, smooth: bool) 
     return f"{of}, {how}, sylpose {__version__}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"
 
 
-def _refuse(distributed: str, session: Session | LiveSession, *, resume: bool) -> None:
+def _refuse(distributed: str, session: Session | LiveSession, *, resume: bool, known: bool) -> None:
     """What nodes cannot do."""
     if distributed not in MODES:
         raise ValueError(f"distributed: {distributed!r} is neither of {', '.join(MODES)}")
     if resume:
         raise ValueError("distributed: nodes leave no checkpoint, so there is nothing to resume")
+    if known:
+        raise ValueError("distributed: nodes begin with no known object")
     if not isinstance(session, Session):
         raise ValueError("distributed: nodes are simulated for recordings, not for live cameras")
 

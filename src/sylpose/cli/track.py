@@ -65,6 +65,14 @@ def track(
             callback=one_of(FEATURES),
         ),
     ] = FEATURES[0],
+    known: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--object",
+            metavar="[NAME=]FILE",
+            help="object.npz of another take: poses are told in its frame; of several objects, NAME=FILE for each.",
+        ),
+    ] = None,
     smooth: Annotated[
         bool | None, typer.Option("--smooth/--no-smooth", help="Refine all poses together at the end: recordings are.")
     ] = None,
@@ -112,6 +120,7 @@ def track(
     """
     from sylpose.app.aloud import track_aloud, why_nothing
     from sylpose.app.check import axes_miss, concerns
+    from sylpose.app.object_files import known_objects
     from sylpose.app.opening import open_asked
     from sylpose.app.run import has_ended, output_path
     from sylpose.sync.offsets import find_offsets
@@ -140,6 +149,7 @@ def track(
         checkpoint_seconds=checkpoint,
         seed=seed,
         plot_format=plot_format,
+        known=known_objects(known, opened.objects, opened.rig),
         quiet=quiet,
         verbose=verbose,
         poses=poses,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.handover import Handover, handed_over, taken_over
 from sylpose.tracking.joint import Joint
+from sylpose.tracking.known_object import KnownObject, begun_with, check_rig, learnt_of
 from sylpose.tracking.nudges import with_nudges
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.phases import Waiting, finish, next_frame
@@ -41,21 +42,24 @@ def track(
     offsets: Mapping[str, float] | None = None,
     workers: int | None = None,
     seed: int = 0,
+    known: KnownObject | None = None,
 ) -> Iterator[TrackedFrame]:
     """The object's pose in every frame, as the frames come.
 
     Args:
         frames: of the recording, in order: `session.frames()`.
-        rig, boxes, method, features, offsets, workers, seed: see `Tracker`.
+        rig, boxes, method, features, offsets, workers, seed, known: see `Tracker`.
 
     Yields:
         One `TrackedFrame` per frame. Without boxes the first ones are held back until the object has moved.
 
     Raises:
         ValueError: an unknown method; a negative seed; boxes of cameras that the rig does not have, or that do not meet in
-            space.
+            space; a known object that other cameras saw, together with boxes, or with another method than "landmarks".
     """
-    with Tracker(rig, boxes, method=method, features=features, offsets=offsets, workers=workers, seed=seed) as tracker:
+    with Tracker(
+        rig, boxes, method=method, features=features, offsets=offsets, workers=workers, seed=seed, known=known
+    ) as tracker:
         for frame_set in _iterated(frames):
             yield from tracker.step(frame_set)
         yield from tracker.flush()
@@ -81,7 +85,7 @@ class Tracking:
 
     Args:
         parts: by camera, each its own.
-        rig, boxes, method, features, offsets, seed: see `Tracker`.
+        rig, boxes, method, features, offsets, seed, known: see `Tracker`.
 
     Raises:
         ValueError: as `track`.
@@ -98,6 +102,7 @@ class Tracking:
         features: str,
         offsets: Mapping[str, float] | None,
         seed: int,
+        known: KnownObject | None = None,
     ) -> None:
         follows = features_of(method, features) == "klt"
         whole(seed, "seed")
@@ -111,6 +116,14 @@ class Tracking:
         self._team = Team(rig, parts, crew, SOLVERS[method], follows, late, seed, method == METHODS[0])
         self._rig = rig
         self._joint = Joint(ObjectModel.in_boxes(rig, boxes) if boxes else ObjectModel())
+        if known is not None:
+            kind_of(known, KnownObject, "known")
+            if boxes:
+                raise ValueError("boxes: of an object that is known, none are wanted")
+            if method != METHODS[0]:
+                raise ValueError(f"method: an object that is known is tracked by {METHODS[0]!r}, not by {method!r}")
+            check_rig(known, rig)
+        self._known = known
         self._waiting: Sequence[Waiting] = []
         self.number = 0  # of the next frame
 
@@ -122,6 +135,9 @@ class Tracking:
             boxes tell where it is, then those that waited for it and this one.
         """
         check_frames(frames, self._rig)
+        if (known := self._known) is not None:
+            self._joint = begun_with(known, self._rig, self._here(), frames.time)
+            self._known, self.number = None, len(known._keyframes)
         index, self.number = self.number, self.number + 1
         self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, index, frames)
         return decided
@@ -143,6 +159,7 @@ class Tracking:
 
     def go_back(self, memory: Memory) -> None:
         """To what was known then; a memory serves once."""
+        self._known = None if memory.number else self._known
         self._joint, self._waiting, self.number, parts = memory
         for part, its in zip(self._here(), parts, strict=True):
             vars(part).update(vars(its))
@@ -150,6 +167,10 @@ class Tracking:
     def _here(self) -> list[CameraPart]:
         """The parts of the cameras in this process."""
         return [part for part in self._team.parts if part is not None]
+
+    def learnt(self) -> KnownObject | None:
+        """What is known of the object by now, for another take; None where that is next to nothing."""
+        return learnt_of(self._rig, self._joint, self._here())
 
     def handed_over(self) -> Handover:
         """What a camera has to know that is to take part from the next frame on."""
@@ -199,6 +220,8 @@ class Tracker(Tracking):
             does not suffice: several times faster, and more precise; not for the paper's estimators, which want the
             matches with the frame before) or "auto": "klt" for the method "landmarks", else "sift".
         offsets: by camera, seconds by which its images are later than its time stamps say.
+        known: the object, as another take has learnt it (`Tracker.learnt`): poses are told in the frame that it had there,
+            from the first frame on in which it is found.
         workers: threads for detection and matching; None: one per core, at most one per camera.
         seed: of the outlier rejection. The same input and seed give the same output, whatever the number of threads.
 
@@ -216,13 +239,15 @@ class Tracker(Tracking):
         offsets: Mapping[str, float] | None = None,
         workers: int | None = None,
         seed: int = 0,
+        known: KnownObject | None = None,
     ) -> None:
         kind_of(rig, Rig, "rig")
         if workers is not None:
             whole(workers, "workers", least=0)
         self._crew = OneProcess(len(rig), workers or min(len(rig), os.cpu_count() or 1))
         parts = [CameraPart(c, camera) for c, camera in enumerate(rig)]
-        super().__init__(rig, parts, self._crew, boxes, method=method, features=features, offsets=offsets, seed=seed)
+        asked: dict[str, Any] = {"method": method, "features": features, "offsets": offsets, "seed": seed}
+        super().__init__(rig, parts, self._crew, boxes, **asked, known=known)
 
     def __enter__(self) -> Tracker:
         return self

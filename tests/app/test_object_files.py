@@ -1,0 +1,328 @@
+"""An object that one take has learnt, in another take: the same frame, from the first frame on, and slides have a length."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose import calibration
+from sylpose.app.object_files import CLOUD, OBJECT, load_object, save_object, write_cloud
+from sylpose.app.run import track_session
+from sylpose.capture import open_session
+from sylpose.cli import main
+from sylpose.report.files import read_trajectory
+from sylpose.results import FramePose, Observable
+from sylpose.rig import Rig
+from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
+from sylpose.tracking.known_object import KnownObject, check_rig
+from sylpose.tracking.tracker import Tracker
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+Path_ = Callable[[float], RigidTransform]
+RIG = arc(4, 35, 1.5, 500, (480, 360), height=0.4)
+# Frames of the first take and of the others.
+FIRST, NEXT = 50, 14
+
+
+def learning(k: float) -> RigidTransform:
+    """To and fro, turning by 80 degrees."""
+    turn = Rotation.from_rotvec(0.03 * (k + 2 * np.sin(k / 4)) * np.array([0.3, 0.9, 0.3]))
+    return RigidTransform.from_components([0.05 * np.sin(k / 9), 0.03 * np.sin(k / 8), 0.04 * np.sin(k / 11)], turn)
+
+
+def elsewhere(k: float) -> RigidTransform:
+    """Begins 20 degrees and 7 cm away, and turns about another axis."""
+    start = Rotation.from_rotvec([0.1, 0.35, -0.05])
+    turn = Rotation.from_rotvec(0.025 * k * np.array([0.8, 0.5, -0.2])) * start
+    return RigidTransform.from_components([0.06 - 0.004 * k, 0.03, 0.02 * np.sin(k / 6)], turn)
+
+
+def slide(k: float) -> RigidTransform:
+    """Does not turn at all."""
+    return RigidTransform.from_components([0.05 - 0.008 * k, 0.02, 0.003 * k], Rotation.from_rotvec([0.1, 0.3, 0.0]))
+
+
+def recorded(folder: Path, path: Path_, frames: int, *, seed: int = 0) -> Path:
+    write_recording(Recording(Scene(RIG, (Actor(chamfered_box([0.3, 0.22, 0.26], 300), path),), frames, seed)), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording with its results in it."""
+    folder = recorded(tmp_path_factory.mktemp("first") / "take", learning, FIRST)
+    track_session(open_session(folder), overlay=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def known(first: Path) -> KnownObject:
+    return load_object(first / "sylpose" / OBJECT)
+
+
+@pytest.fixture(scope="module")
+def actor_from_object(first: Path) -> RigidTransform:
+    """The frame that the object got in the first take, by its first pose, which is right by definition."""
+    pose = next(p for p in read_trajectory(first / "sylpose" / "trajectory.csv") if p.world_from_object is not None)
+    assert pose.world_from_object is not None
+    return learning(pose.index).inv() * pose.world_from_object
+
+
+def errors(pose: FramePose, true: RigidTransform) -> np.ndarray:
+    """(6,) of (w, d)."""
+    assert pose.world_from_object is not None
+    turn = (pose.world_from_object.rotation * true.rotation.inv()).as_rotvec()
+    return np.concatenate([turn, pose.world_from_object.translation - true.translation])
+
+
+@pytest.mark.parametrize("path", [elsewhere, slide])
+@pytest.mark.parametrize("smooth", [False, True], ids=["tracked", "smoothed"])
+def test_another_take_has_the_same_frame_from_its_first_frame_on(
+    tmp_path: Path, known: KnownObject, actor_from_object: RigidTransform, path: Path_, smooth: bool
+) -> None:
+    take = recorded(tmp_path / "take", path, NEXT, seed=5)
+    run = track_session(open_session(take), overlay=False, smooth=smooth, known=known)
+    assert all(pose.measured for pose in run.trajectory)
+    assert all(pose.observable is Observable.ALL for pose in run.trajectory)
+    wrong = np.array([errors(pose, path(pose.index) * actor_from_object) for pose in run.trajectory])
+    assert np.degrees(np.linalg.norm(wrong[:, :3], axis=1)).max() < 0.8
+    assert np.linalg.norm(wrong[:, 3:], axis=1).max() < 0.0025
+    # The uncertainty is that of the frame of the other take, from the first frame on, and neither too small nor too large.
+    squares = [e @ np.linalg.solve(pose.covariance, e) / 6 for e, pose in zip(wrong, run.trajectory, strict=True)]
+    assert 0.05 < np.mean(squares) < 4.0
+    assert max(np.degrees(pose.sigma[:3]).max() for pose in run.trajectory) < 1.5
+    # A slide has a length.
+    ends = [run.trajectory[k].position for k in (0, -1)]
+    true = [path(k).translation + path(k).rotation.apply(actor_from_object.translation) for k in (0, NEXT - 1)]
+    assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(np.linalg.norm(true[1] - true[0]), rel=0.02)
+
+
+def sights(known: KnownObject) -> int:
+    return sum(len(numbers) for memory in known._cameras.values() for numbers in memory.numbers)
+
+
+def test_a_take_that_knows_an_object_knows_more_of_it_afterwards(tmp_path: Path, known: KnownObject) -> None:
+    take = recorded(tmp_path / "take", elsewhere, NEXT, seed=5)
+    track_session(open_session(take), tmp_path / "out", overlay=False, known=known)
+    more = load_object(tmp_path / "out" / OBJECT)
+    assert len(more._keyframes) > len(known._keyframes)
+    assert sights(more) > sights(known)
+
+
+def test_a_run_that_was_broken_off_goes_on_with_the_object(
+    first: Path, known: KnownObject, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = open_session(recorded(tmp_path / "take", elsewhere, 8, seed=5))
+    whole = track_session(session, tmp_path / "whole", overlay=False, known=known)
+    done: list[int] = []
+    with pytest.raises(KeyboardInterrupt):
+        track_session(
+            session,
+            tmp_path / "out",
+            overlay=False,
+            known=known,
+            on_frame=lambda f: done.append(f.pose.index),
+            interrupted=lambda: len(done) == 4,
+        )
+    with pytest.raises(
+        ValueError, match=r"checkpoint\.bin: the interrupted run had known object [0-9a-f]{32}, not none"
+    ):
+        track_session(session, tmp_path / "out", overlay=False, resume=True)
+    file = f"--object={first / 'sylpose' / OBJECT}"
+    assert main(["track", str(session.path), "--out", str(tmp_path / "out"), "--no-overlay", "--resume", file]) == 0
+    assert "Going on after 4 of 8 frames" in capsys.readouterr().out
+    for name in ("trajectory.tum", "trajectory.csv", "tracked.csv"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert len(whole.trajectory) == 8
+
+
+def test_an_object_is_written_and_read(known: KnownObject, tmp_path: Path) -> None:
+    save_object(known, tmp_path / "again.npz")
+    again = load_object(tmp_path / "again.npz")
+    assert (again.unit, again.radius, again.camera_names) == (known.unit, known.radius, RIG.names)
+    np.testing.assert_array_equal(known.places, again.places)
+    assert len(known.places) > 300
+    for one, other in zip(known._keyframes, again._keyframes, strict=True):
+        np.testing.assert_array_equal(one.world_from_object.as_matrix(), other.world_from_object.as_matrix())
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+    for name, memory in known._cameras.items():
+        np.testing.assert_array_equal(memory.landmarks.information, again._cameras[name].landmarks.information)
+        for k, features in enumerate(memory.features):
+            np.testing.assert_array_equal(features.descriptors, again._cameras[name].features[k].descriptors)
+            np.testing.assert_array_equal(memory.numbers[k], again._cameras[name].numbers[k])
+            assert np.linalg.norm(features.descriptors, axis=1) == pytest.approx(np.ones(len(features)), abs=1e-3)
+
+
+def test_the_cloud_lies_on_the_object(first: Path, known: KnownObject, actor_from_object: RigidTransform) -> None:
+    data = (first / "sylpose" / CLOUD).read_bytes()
+    head, _, body = data.partition(b"end_header\n")
+    count = int(re.search(rb"element vertex (\d+)", head)[1])  # type: ignore[index]
+    points = np.frombuffer(body, [("place", "<f4", 3), ("color", "u1", 3), ("sd", "<f4")])
+    assert len(points) == count > 100
+    on_box = np.abs(actor_from_object.apply(points["place"].astype(float))) / (np.array([0.3, 0.22, 0.26]) / 2)
+    assert np.quantile(on_box.max(axis=1), 0.9) < 1.05  # inside its sides
+    assert np.quantile(on_box.max(axis=1), 0.1) > 0.8  # and near them
+    assert (points["sd"] < 0.1 * known.radius).all()
+
+
+def test_what_never_moved_is_not_learnt(tmp_path: Path) -> None:
+    stands = recorded(tmp_path / "take", lambda _: RigidTransform.identity(), 4)
+    track_session(open_session(stands), overlay=False)
+    assert not (stands / "sylpose" / OBJECT).exists()
+    assert (stands / "sylpose" / "trajectory.csv").exists()
+
+
+def test_an_object_that_does_not_come_is_not_found(tmp_path: Path, known: KnownObject) -> None:
+    """Another body, painted otherwise."""
+    other = Scene(RIG, (Actor(chamfered_box([0.2, 0.3, 0.2], 77), elsewhere),), 6, 11)
+    write_recording(Recording(other), tmp_path / "take")
+    run = track_session(open_session(tmp_path / "take"), overlay=False, known=known)
+    assert not run.trajectory.solved.any()
+    assert all(pose.reason for pose in run.trajectory)
+
+
+# --- what cannot be ----------------------------------------------------------------------------------------------------
+
+
+def test_other_cameras_units_and_places_are_said(known: KnownObject) -> None:
+    check_rig(known, RIG)
+    check_rig(known, RIG.subset(["cam_0", "cam_2"]))
+    with pytest.raises(ValueError, match="its lengths are in m, those of the calibration in mm"):
+        check_rig(known, Rig(RIG.cameras, "mm"))
+    with pytest.raises(ValueError, match=r"it was seen by cam_0, .*, and the calibration has none of these \(a, b\)"):
+        check_rig(known, Rig([replace(c, name=n) for c, n in zip(RIG.cameras, "ab", strict=False)], "m"))
+    turned = RigidTransform.from_rotation(Rotation.from_rotvec([0, 0.1, 0])) * RIG.cameras[1].camera_from_world
+    moved = [*RIG.cameras[:1], replace(RIG.cameras[1], camera_from_world=turned), *RIG.cameras[2:]]
+    with pytest.raises(ValueError, match=r"cam_1 is another camera than the one that saw it, or stands elsewhere"):
+        check_rig(known, Rig(moved, "m"))
+    little = RigidTransform.from_rotation(Rotation.from_rotvec([0, 0.002, 0])) * RIG.cameras[1].camera_from_world
+    check_rig(known, Rig([*RIG.cameras[:1], replace(RIG.cameras[1], camera_from_world=little), *RIG.cameras[2:]], "m"))
+
+
+def test_options_that_exclude_a_known_object(known: KnownObject, first: Path) -> None:
+    boxes = open_session(first).boxes
+    assert boxes
+    with pytest.raises(ValueError, match="boxes: of an object that is known, none are wanted"):
+        Tracker(RIG, boxes, known=known)
+    with pytest.raises(
+        ValueError, match="method: an object that is known is tracked by 'landmarks', not by 'epipolar'"
+    ):
+        Tracker(RIG, method="epipolar", known=known)
+    with pytest.raises(ValueError, match="distributed: nodes begin with no known object"):
+        track_session(open_session(first), distributed="exact", known=known)
+    with pytest.raises(ValueError, match="known: no object 'cup' in"):
+        track_session(open_session(first), known={"cup": known})
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ("nowhere.npz", "nowhere.npz: no such file; the object.npz of another run is expected"),
+        ("calibration.toml", "calibration.toml: not an object of sylpose, or damaged"),
+        ("cup=sylpose/object.npz", "cup=sylpose/object.npz: no such file"),
+    ],
+)
+def test_files_that_are_no_objects(
+    said: str, words: str, first: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(first)
+    before = {file: file.stat().st_mtime_ns for file in first.rglob("*")}
+    assert main(["track", ".", "--object", said]) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+    assert {file: file.stat().st_mtime_ns for file in first.rglob("*")} == before
+
+
+def test_twice_and_another_rig(
+    first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], known: KnownObject
+) -> None:
+    file = str(first / "sylpose" / OBJECT)
+    assert main(["track", str(first), "--out", str(tmp_path / "out"), "--object", file, "--object", file]) == 2
+    assert capsys.readouterr().err == "sylpose: --object: given twice for object\n"
+    calibration.save(Rig(RIG.cameras, "mm"), tmp_path / "rig.toml")
+    arguments = ["track", str(first), "--out", str(tmp_path / "out"), "--object", file]
+    assert main([*arguments, "--calibration", str(tmp_path / "rig.toml")]) == 2
+    assert capsys.readouterr().err == f"sylpose: {file}: its lengths are in m, those of the calibration in mm\n"
+    assert not (tmp_path / "out").exists()
+    write_cloud(known, tmp_path / "cloud.ply")
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    with np.load(path) as file:
+        return {name: file[name] for name in file.files}
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("points", lambda a: a.T),
+        ("points", lambda a: a.astype("f4")),
+        ("points", lambda a: np.full_like(a, np.nan)),
+        ("keyframe_time", lambda a: a[::-1]),
+        ("keyframe_world_from_object", lambda a: 2 * a),
+        ("keyframe_world_from_object", lambda a: a * np.array([1, 1, -1, 1])[:, None]),
+        ("keyframe_covariance", lambda a: a - np.eye(6)),
+        ("landmark_information", lambda a: -a),
+        ("landmark_camera", lambda a: a + 100),
+        ("landmark_id", lambda a: a * 0),
+        ("feature_keyframe", lambda a: a - 1),
+        ("feature_landmark", lambda a: a + 10_000_000),
+        ("feature_descriptor", lambda a: np.array([{"a": 1}] * len(a), object)),
+        ("header", lambda _: np.array('{"format": "sylpose object 9"}')),
+        ("header", lambda a: np.array(str(a).replace("sylpose object 1", "sylpose object 2"))),
+        ("header", lambda a: np.array(re.sub(r'"radius":[^,]*', '"radius":-1', str(a)))),
+        ("more", lambda _: np.zeros(3)),
+    ],
+)
+def test_arrays_that_cannot_be(
+    name: str, change: Callable[[np.ndarray], np.ndarray], first: Path, tmp_path: Path
+) -> None:
+    arrays = _arrays(first / "sylpose" / OBJECT)
+    arrays[name] = change(arrays.get(name, np.zeros(0)))
+    np.savez(tmp_path / "bad.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"bad\.npz: ") as caught:
+        load_object(tmp_path / "bad.npz")
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 600
+
+
+def test_a_bomb_is_refused_by_its_size(tmp_path: Path, first: Path) -> None:
+    arrays = _arrays(first / "sylpose" / OBJECT)
+    arrays["points"] = np.zeros((30_000_000, 3))
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as out:
+                np.lib.format.write_array(out, values, allow_pickle=False)
+    with pytest.raises(ValueError, match="more than 512 MB"):
+        load_object(tmp_path / "bomb.npz")
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(at=st.integers(0, 1 << 30), byte=st.integers(1, 255), cut=st.booleans())
+def test_damaged_files(first: Path, tmp_path: Path, at: int, byte: int, cut: bool) -> None:
+    data = bytearray((first / "sylpose" / OBJECT).read_bytes())
+    at %= len(data)
+    if cut:
+        del data[at:]
+    else:
+        data[at] ^= byte
+    (tmp_path / "bad.npz").write_bytes(data)
+    said = ""
+    try:
+        load_object(tmp_path / "bad.npz")  # a byte of the archive's dates may be any
+    except ValueError as error:
+        said = str(error)
+    assert not cut or said
+    assert not said or said.startswith(f"{tmp_path / 'bad.npz'}: ")
+    assert "\n" not in said
