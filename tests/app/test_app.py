@@ -219,7 +219,8 @@ def test_live_cameras_are_tracked_to_their_end(session: Path, capsys: pytest.Cap
     assert f"session: 3 cameras, live at {RATE} per second" in said.out
     assert "Left out in all: frame" in said.out
     out = session / "sylpose"
-    assert {file.name for file in out.iterdir()} == {
+    # Whether enough is learnt for an object.npz depends on how many frames there is time for.
+    assert {file.name for file in out.iterdir()} - {"object.npz", "object.ply"} == {
         *("trajectory.tum", "trajectory.csv", "report.png", "overlay.mp4"),
         *("settings.toml", "calibration.used.toml"),
     }

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import calibration
-from sylpose.app.object_files import CLOUD, OBJECT, load_object, save_object, write_cloud
+from sylpose.app.object_files import CLOUD, OBJECT, known_objects, load_object, save_object, write_cloud
 from sylpose.app.run import track_session
 from sylpose.capture import open_session
 from sylpose.cli import main
@@ -209,6 +209,29 @@ def test_other_cameras_units_and_places_are_said(known: KnownObject) -> None:
     check_rig(known, Rig([*RIG.cameras[:1], replace(RIG.cameras[1], camera_from_world=little), *RIG.cameras[2:]], "m"))
 
 
+def test_cameras_that_are_calibrated_anew_make_poses_less_certain(
+    tmp_path: Path, known: KnownObject, actor_from_object: RigidTransform
+) -> None:
+    """By some hundredths of a degree each: by what poses are off then, and not by much more."""
+    take = recorded(tmp_path / "take", elsewhere, 6, seed=5)
+    rng = np.random.default_rng(1)
+    turns = [Rotation.from_rotvec(0.0012 * rng.normal(size=3)) for _ in RIG]
+    cameras = [
+        replace(c, camera_from_world=RigidTransform.from_rotation(t) * c.camera_from_world)
+        for c, t in zip(RIG.cameras, turns, strict=True)
+    ]
+    calibration.save(Rig(cameras, "m"), tmp_path / "rig.toml")
+    session = open_session(take, calibration=tmp_path / "rig.toml")
+    for smooth in (False, True):
+        run = track_session(session, tmp_path / "out", overlay=False, smooth=smooth, known=known)
+        wrong = [errors(pose, elsewhere(pose.index) * actor_from_object) for pose in run.trajectory]
+        squares = [e @ np.linalg.solve(p.covariance, e) / 6 for e, p in zip(wrong, run.trajectory, strict=True)]
+        assert 0.02 < np.mean(squares) < 3.0
+        assert min(np.degrees(pose.sigma[:3]).min() for pose in run.trajectory) > 0.2
+    same = track_session(open_session(take), tmp_path / "same", overlay=False, smooth=True, known=known)
+    assert max(np.degrees(pose.sigma[:3]).min() for pose in same.trajectory) < 0.2
+
+
 def test_options_that_exclude_a_known_object(known: KnownObject, first: Path) -> None:
     boxes = open_session(first).boxes
     assert boxes
@@ -244,9 +267,7 @@ def test_files_that_are_no_objects(
     assert {file: file.stat().st_mtime_ns for file in first.rglob("*")} == before
 
 
-def test_twice_and_another_rig(
-    first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], known: KnownObject
-) -> None:
+def test_twice_and_another_rig(first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = str(first / "sylpose" / OBJECT)
     assert main(["track", str(first), "--out", str(tmp_path / "out"), "--object", file, "--object", file]) == 2
     assert capsys.readouterr().err == "sylpose: --object: given twice for object\n"
@@ -255,7 +276,24 @@ def test_twice_and_another_rig(
     assert main([*arguments, "--calibration", str(tmp_path / "rig.toml")]) == 2
     assert capsys.readouterr().err == f"sylpose: {file}: its lengths are in m, those of the calibration in mm\n"
     assert not (tmp_path / "out").exists()
-    write_cloud(known, tmp_path / "cloud.ply")
+
+
+def test_a_cloud_that_cannot_be_written_is_said(known: KnownObject, tmp_path: Path) -> None:
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(OSError, match=r"cannot write .*taken: is a directory"):
+        write_cloud(known, tmp_path / "taken")
+
+
+def test_objects_are_told_apart_by_name(first: Path, known: KnownObject) -> None:
+    file, two = str(first / "sylpose" / OBJECT), ("mug", "tray")
+    found = known_objects([f"tray={file}"], two, RIG)
+    assert [*found] == ["tray"]
+    np.testing.assert_array_equal(found["tray"].places, known.places)
+    assert [*known_objects([f"mug={file}", f"tray={file}"], two, RIG)] == ["mug", "tray"]
+    assert [*known_objects([f"cup={file}"], ("cup",), RIG)] == ["cup"]
+    for said in (file, f"cup={file}"):
+        with pytest.raises(ValueError, match=r"--object: NAME=FILE is expected, for one of mug, tray, got"):
+            known_objects([said], two, RIG)
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:

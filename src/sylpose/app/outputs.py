@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 from sylpose.adjustment.calibration import usual_doubt
@@ -19,7 +20,7 @@ from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
 from sylpose.smoothing.known import tracks_of
 from sylpose.smoothing.trajectory import Track, smooth
-from sylpose.tracking.known_object import KnownObject
+from sylpose.tracking.known_object import KnownObject, calibrated_anew
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["MAX_SMOOTHED", "RESULT", "SUFFIXES", "TRACKED", "TRACKS", "ObjectOutput", "Overlay"]
@@ -137,7 +138,11 @@ class ObjectOutput:
             result = smooth(
                 tracks, self._rig, doubt=doubt, recalibrate=self._recalibrate, moved=moved, on_round=on_round
             )
-            self._whole = self._of(result.poses[len(tracks) - self.n_frames :])
+            poses = result.poses[len(tracks) - self.n_frames :]
+            if (known := self._known) is not None:
+                anew = calibrated_anew(known, self._rig)
+                poses = tuple(replace(pose, covariance=pose.covariance + anew) for pose in poses)
+            self._whole = self._of(poses)
             if result.correction is not None:
                 self.files += write_refined(self.folder, result.correction, self._rig.names, result.moved)
                 self.changes += changes(result.correction, self._rig, result.moved)

@@ -35,6 +35,7 @@ from sylpose.tracking.team import Region, Team
 from sylpose.two_frames.motion import motion_about
 
 __all__ = [
+    "WAIT_FOR_MORE",
     "Found",
     "followed_from_anchor",
     "is_a_corner",

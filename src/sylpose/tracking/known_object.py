@@ -13,13 +13,14 @@ from sylpose.landmarks.table import LandmarkTable
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
+from sylpose.tracking.find import WAIT_FOR_MORE
 from sylpose.tracking.frame import CameraFrame, SolvedFrame
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.velocity import Velocity
 
-__all__ = ["FEWEST", "CameraMemory", "KnownObject", "begun_with", "check_rig", "learnt_of"]
+__all__ = ["FEWEST", "CameraMemory", "KnownObject", "begun_with", "calibrated_anew", "check_rig", "learnt_of"]
 
 # Landmarks are where these cameras saw them, within so many pixels in the middle, unless they are other cameras or stand
 # elsewhere: calibrated anew they are a pixel or two off, moved by hand tens (choice).
@@ -101,21 +102,44 @@ def check_rig(known: KnownObject, rig: Rig) -> None:
         raise ValueError(
             f"it was seen by {', '.join(known._cameras)}, and the calibration has none of these ({', '.join(rig.names)})"
         )
+    for name, off in _off(known, rig).items():
+        far = np.nan_to_num(np.linalg.norm(off, axis=1), nan=np.inf)
+        if len(far) and np.median(far) > SAME_RIG_PX:
+            raise ValueError(
+                f"{name} is another camera than the one that saw it, or stands elsewhere: what is known of it would be "
+                f"{np.median(far):.0f} px off in its images"
+            )
+
+
+def _off(known: KnownObject, rig: Rig) -> dict[str, FloatArray]:
+    """By camera that both have, (n, 2) pixels from where its landmarks were seen to where the rig's cameras see them."""
+    off = {}
     for camera in rig:
         memory = known._cameras.get(camera.name)
         if memory is None:
             continue
-        off = [np.empty(0)]
+        pieces = [np.empty((0, 2))]
         for frame, features, numbers in zip(known._keyframes, memory.features, memory.numbers, strict=True):
             places = memory.landmarks.mean[np.searchsorted(memory.landmarks.id, numbers)]
-            seen = camera.project(frame.world_from_object.apply(places).reshape(-1, 3))
-            off.append(np.linalg.norm(seen - features.pixels, axis=1))
-        every = np.nan_to_num(np.concatenate(off), nan=np.inf)
-        if len(every) and np.median(every) > SAME_RIG_PX:
-            raise ValueError(
-                f"{camera.name} is another camera than the one that saw it, or stands elsewhere: what is known of it "
-                f"would be {np.median(every):.0f} px off in its images"
+            pieces.append(camera.project(frame.world_from_object.apply(places).reshape(-1, 3)) - features.pixels)
+        off[camera.name] = np.concatenate(pieces)
+    return off
+
+
+def calibrated_anew(known: KnownObject, rig: Rig) -> FloatArray:
+    """(6, 6) covariance of (w, d): how far poses may be off where cameras are calibrated otherwise than when the object was
+    learnt. They are drawn by what its landmarks are off as a whole in each camera's images."""
+    far = []
+    for name, off in _off(known, rig).items():
+        if len(off):
+            camera = rig[name]
+            away = np.median(
+                [camera.camera_from_world.apply(k.world_from_object.translation)[2] for k in known._keyframes]
             )
+            far.append(float(np.linalg.norm(np.nanmedian(off, axis=0))) * away / camera.focal)
+    # Of cameras that are off independently of each other, the mean.
+    shift = float(np.sqrt(np.sum(np.square(far)))) / len(far) if far else 0.0
+    return np.diag(np.repeat([(shift / known.radius) ** 2, shift**2], 3))
 
 
 def begun_with(known: KnownObject, rig: Rig, parts: Sequence[CameraPart], time: float) -> Joint:
@@ -152,6 +176,7 @@ def begun_with(known: KnownObject, rig: Rig, parts: Sequence[CameraPart], time: 
         keyframes=keyframes,
         velocity=Velocity(frames=1, interval=1.0),
         missed=1,
+        seen_again=WAIT_FOR_MORE,  # poses are wanted from the first frame on, however little of it is seen there
         lost=True,
         proven=True,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.handover import Handover, handed_over, taken_over
 from sylpose.tracking.joint import Joint
-from sylpose.tracking.known_object import KnownObject, begun_with, check_rig, learnt_of
+from sylpose.tracking.known_object import KnownObject, begun_with, calibrated_anew, check_rig, learnt_of
 from sylpose.tracking.nudges import with_nudges
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.phases import Waiting, finish, next_frame
@@ -124,6 +125,8 @@ class Tracking:
                 raise ValueError(f"method: an object that is known is tracked by {METHODS[0]!r}, not by {method!r}")
             check_rig(known, rig)
         self._known = known
+        # By what the cameras differ from those that saw the object.
+        self._anew = None if known is None else calibrated_anew(known, rig)
         self._waiting: Sequence[Waiting] = []
         self.number = 0  # of the next frame
 
@@ -140,7 +143,10 @@ class Tracking:
             self._known, self.number = None, len(known._keyframes)
         index, self.number = self.number, self.number + 1
         self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, index, frames)
-        return decided
+        if self._anew is None:
+            return decided
+        poses = [replace(t.pose, covariance=t.pose.covariance + self._anew) for t in decided]
+        return [replace(t, pose=pose) for t, pose in zip(decided, poses, strict=True)]
 
     @property
     def memory(self) -> Memory:
