@@ -88,6 +88,6 @@ def test_two_cameras_on_opposite_sides_do_not_know_how_far_away_the_object_is() 
     ],
 )
 def test_a_motion_that_is_hardly_seen_leads_to_itself_again_or_is_not_believed(kind: str, number: int) -> None:
-    """Found by other scenes than these, on which each was 5 to 17 degrees off and sure of it."""
+    """Each was 5 to 17 degrees off and sure of it."""
     problem = make_problem(kind, number)
     assert not judge(problem, estimate_motion(problem.rig, problem.matches)).wrong

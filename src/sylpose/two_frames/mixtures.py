@@ -36,8 +36,7 @@ JUDGED = 8
 # scenes of each of ten settings of benchmarks/nees.py, 4.2 at most), and this itself: with many matches calibrations that
 # are off by a little show, too (choice).
 ALIKE, ALIKE_AT_LEAST = 5.0, 0.15
-# Where a motion is hardly seen (`unless_straight`) one of nobody's is found more often, and so much will do (measured: more,
-# and more than `ALIKE_AT_LEAST`, have one of 999 right answers and 9 of 39 wrong ones).
+# Where a motion is hardly seen (`unless_straight`) one of nobody's is found more often, and so much will do (choice).
 ALIKE_BENT = 3.0
 # ... and what they share is more than this, pixels: less is rounding, lenses and keypoints (choice).
 ALIKE_PX = 0.1

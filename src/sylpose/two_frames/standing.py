@@ -44,7 +44,7 @@ COMPARED, SAME_SHARE = 256, 1e-6
 # What moves is no noisier than this times what stands still, which may be exact: two frames of a pause (choice).
 NOISIER, EXACT_PX = 5.0, 0.1
 # What stands still is no noisier than so many times the seeds of a motion, as a body that moves by little would be
-# (measured: of 60 backgrounds 2.2 at most, of bodies 4.5 at least).
+# (measured: of 56 backgrounds 2.2 at most, of bodies 4.9 at least).
 LOUDER = 3.0
 # A motion is another's start where it is within three of its standard deviations (choice).
 NEAR = 9.0
