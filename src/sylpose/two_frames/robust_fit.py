@@ -25,7 +25,7 @@ from sylpose.two_frames.search import Minima, no_minima, search
 from sylpose.two_frames.seeds import hyperplane_inliers
 from sylpose.two_frames.terms import Guesses, Stack, copy_into
 
-__all__ = ["KEEP", "Seeded", "Settled", "Uniform", "fitted", "robust_fit", "seeds_noise"]
+__all__ = ["KEEP", "Seeded", "Settled", "Uniform", "fitted", "robust_fit"]
 
 
 # Quadruples that a term's seeds are drawn with, at most (choice).
@@ -199,13 +199,6 @@ def fitted(stack: Stack, usable: BoolArray, guesses: Guesses, rng: Uniform) -> t
     """`robust_fit` with quadruples drawn from rng."""
     # Probabilities, as of a mixture: one compiled version does.
     return robust_fit(stack, usable.astype(np.float64), rng.random((QUADRUPLES, 4)), guesses)
-
-
-def seeds_noise(stack: Stack, usable: BoolArray, rng: Uniform) -> float:
-    """The largest noise of a term's matches that one motion can explain, pixels."""
-    sigma_px = np.empty(len(stack.focal))
-    _seed(stack, usable.astype(np.float64), rng.random((QUADRUPLES, 4)), np.empty(len(usable)), sigma_px)
-    return float(sigma_px.max())
 
 
 @kernel

@@ -38,8 +38,6 @@ CONVERGED = 0.5
 DOUBT = 0.5
 # Where a motion may be larger by this factor, most of the matches standing still, it is not known (choice).
 HARDLY = 3.0
-# With fewer inliers, or where it is hardly seen, a motion is looked at once more (choice).
-FEW_INLIERS = 50
 
 
 def fit_terms(
@@ -75,13 +73,6 @@ def fit_terms(
         minima, best = together(minima, again[1]), again[1].costs.min() < minima.costs.min()
         found, promise = (again[0], again[3]) if best else (found, promise)
         checks = check(stack, usable, found, every, radius, minima.costs, minima.inliers)
-    if checks.finite and (checks.bent or checks.inliers < FEW_INLIERS):
-        again = _once_more(stack, usable, found)
-        iterations += again[2]
-        minima, best = together(minima, again[1]), again[1].costs.min() < minima.costs.min()
-        # One that leads nowhere has not settled.
-        found, promise = (again[0], again[3]) if best else (found, promise if again[3] < np.inf else np.inf)
-        checks = check(stack, usable, found, every, radius, minima.costs, minima.inliers)
     # Where the search ended nowhere there is no motion, whatever it left behind.
     one = found if checks.finite else nothing_yet(stack)
     larger, likelier = hidden(stack, usable, one) if checks.quiet else (1.0, -np.inf)
@@ -103,20 +94,6 @@ def fit_terms(
         return no_fit(data, Status.NOT_CONSISTENT)
     fit = _answer(data, stack, radius, found, minima, promise, every, usable, larger, checks)
     return replace(fit, iterations=int(iterations))
-
-
-def _once_more(stack: Stack, usable: BoolArray, found: Reweighted) -> tuple[Reweighted, Settled, int, float]:
-    """Where a motion leads to, with all else as it is believed before anything is measured: as `fitted`.
-
-    What a motion rests on that does not lead to it again is surfaces and weights that chance, or another motion, has left.
-    """
-    again = nothing_yet(stack)
-    again.candidate.rotation[:], again.candidate.shift[:] = found.candidate.rotation, found.candidate.shift
-    again.sigma_px[:] = found.sigma_px
-    iterations, promise, cost = reweight(stack, usable.astype(float), again, SIGMA_FLOOR_PX)
-    rotation, shift = again.candidate.rotation[None].copy(), again.candidate.shift[None].copy()
-    count = np.array([float((again.weights > 0.0).sum())])
-    return again, Settled(rotation, shift, np.array([cost]), count), iterations, promise
 
 
 def _all_stand(stack: Stack, usable: BoolArray, one: Reweighted) -> bool:

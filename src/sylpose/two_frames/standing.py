@@ -19,7 +19,7 @@ from sylpose.numerics.compiled import kernel, rotation_of, rotvec_of
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.likelihoods import WRONG, anywhere, cost_of, going
 from sylpose.two_frames.reweight import Reweighted, nothing_yet, reweight
-from sylpose.two_frames.robust_fit import Settled, Uniform, fitted, seeds_noise
+from sylpose.two_frames.robust_fit import Settled, Uniform, fitted
 from sylpose.two_frames.terms import Candidate, Guesses, Stack, copy_into
 from sylpose.two_frames.verdict import is_consistent
 
@@ -43,9 +43,6 @@ APART, ROUNDS, SETTLED = 50, 15, 0.02
 COMPARED, SAME_SHARE = 256, 1e-6
 # What moves is no noisier than this times what stands still, which may be exact: two frames of a pause (choice).
 NOISIER, EXACT_PX = 5.0, 0.1
-# What stands still is no noisier than so many times the seeds of a motion, as a body that moves by little would be
-# (measured: of 56 backgrounds 2.2 at most, of bodies 4.9 at least).
-LOUDER = 3.0
 # A motion is another's start where it is within three of its standard deviations (choice).
 NEAR = 9.0
 # By how much a mixture must be likelier than one motion (measured: docs/benchmarks.md#hard-pairs; of what moves by 1 to 4 px
@@ -135,8 +132,7 @@ def parted(
         # From where another one has come to, nothing else is found.
         if not any(_is_near(mixture.found, start) for mixture in mixtures):
             mixtures.append(_mixture(stack, usable, start, off, sigma, still))
-    most = LOUDER * seeds_noise(stack, usable, rng) if mixtures else 0.0
-    mixtures = [mixture for mixture in mixtures if mixture.sigma < most and _holds(stack, usable, mixture)]
+    mixtures = [mixture for mixture in mixtures if _holds(stack, usable, mixture)]
     if not mixtures:
         return None
     best = min(mixtures, key=lambda mixture: mixture.cost)

@@ -4,8 +4,7 @@ A covariance is of a cost that is quadratic. Where something is hardly seen, the
 put the motion in a narrow valley of the cost, and a valley that is bent: going along it by a standard deviation leads away
 from the straight line by more than the valley is wide, and the valley may be flatter there. So the motion is displaced by a
 standard deviation along each direction that is hardly seen, both ways, and settles across it: the way from the line to where
-it comes to rest, and how much less it is drawn back than a quadratic cost would have it, become uncertainty. Where even a
-quarter of the way leads nowhere, its direction is open.
+it comes to rest, and how much less it is drawn back than a quadratic cost would have it, become uncertainty.
 
 Source: second-order terms of a profile likelihood, Bates & Watts, "Nonlinear Regression Analysis", chapter 7; their use here
 is ours (docs/method.md).
@@ -40,9 +39,6 @@ LONGEST_BEND = 0.5
 LONGEST, FLATTEST = 1.0, 0.05
 # The mean fourth power of a normal variable: what the bend at a standard deviation comes to in variance (derived).
 FOURTH = 3.0
-# Of a way that leads nowhere a part is tried, down to this; a direction that is open then is uncertain by so many times the
-# motion (choice).
-SHORTEST_WAY, OPEN = 0.25, 10.0
 # How firmly the way along the valley is held, of what holds all other ways together (choice).
 FIRM = 1e6
 
@@ -73,16 +69,9 @@ def bend(stack: Stack, usable: Usable, found: Reweighted, radius: float) -> Floa
         along, off = scale * vectors[:, k], np.empty((2, 6))
         drawn = 0.0
         for way in range(2):
-            part, force = 2.0, np.inf
-            while not np.isfinite(force) and part > SHORTEST_WAY:
-                part *= 0.5
-                start = (1 - 2 * way) * part * length * along
-                force = settle_across(stack, usable, found, start, vectors[:, k] / scale, off[way])
+            force = settle_across(stack, usable, found, (1 - 2 * way) * length * along, vectors[:, k] / scale, off[way])
             if not np.isfinite(force):
-                return np.column_stack([*columns, OPEN * size * along])
-            # A bend grows as the way's square, and what draws back as the way.
-            off[way] /= part**2
-            force /= part
+                return np.column_stack([*columns, sd[k] * along])
             # A bend is small beside the way; what is not has come to another minimum.
             far = float(np.linalg.norm(off[way] / scale))
             off[way] *= min(1.0, LONGEST_BEND * length / max(far, 1e-300))
