@@ -19,7 +19,7 @@ def tracks_of(known: KnownObject, rig: Rig, time: float) -> list[Track]:
     Args:
         time: of the take's first frame.
     """
-    tracks, n, nothing = [], len(known._keyframes), np.empty(0)
+    tracks, n = [], len(known._keyframes)
     for k, frame in enumerate(known._keyframes):
         sightings = []
         for name in rig.names:
@@ -29,13 +29,11 @@ def tracks_of(known: KnownObject, rig: Rig, time: float) -> list[Track]:
                     Sightings(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty(0, bool))
                 )
                 continue
-            its = memory.landmarks.subset(np.searchsorted(memory.landmarks.id, memory.numbers[k]))
+            its = memory.seen_in(k)
             sightings.append(Sightings(memory.numbers[k], memory.features[k].normalized, its.mean, its.moved))
         counts = np.array([len(s.landmark) for s in sightings])
         status = FrameStatus.TRACKED if k else FrameStatus.FIRST
-        pose = FramePose(
-            k - n, time + k - n, status, frame.world_from_object, frame.covariance, counts, np.full(len(rig), np.nan),
-            doubt=nothing,
-        )  # fmt: skip
+        residuals = np.full(len(rig), np.nan)
+        pose = FramePose(k - n, time + k - n, status, frame.world_from_object, frame.covariance, counts, residuals)
         tracks.append(Track(pose, tuple(sightings), np.zeros(len(rig)), known.radius))
     return tracks

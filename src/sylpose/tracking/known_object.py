@@ -42,6 +42,10 @@ class CameraMemory:
     features: tuple[Features, ...]
     numbers: tuple[IntArray, ...]
 
+    def seen_in(self, keyframe: int) -> Landmarks:
+        """(m) of the features of a keyframe."""
+        return self.landmarks.subset(np.searchsorted(self.landmarks.id, self.numbers[keyframe]))
+
 
 @dataclass(frozen=True, eq=False)
 class KnownObject:
@@ -119,8 +123,8 @@ def _off(known: KnownObject, rig: Rig) -> dict[str, FloatArray]:
         if memory is None:
             continue
         pieces = [np.empty((0, 2))]
-        for frame, features, numbers in zip(known._keyframes, memory.features, memory.numbers, strict=True):
-            places = memory.landmarks.mean[np.searchsorted(memory.landmarks.id, numbers)]
+        for k, (frame, features) in enumerate(zip(known._keyframes, memory.features, strict=True)):
+            places = memory.seen_in(k).mean
             pieces.append(camera.project(frame.world_from_object.apply(places).reshape(-1, 3)) - features.pixels)
         off[camera.name] = np.concatenate(pieces)
     return off
