@@ -234,3 +234,30 @@ def test_points_on_the_grid_are_where_they_are_and_whole_after_a_power_of_two(le
     exact, found = c.normalize(pixels), c.normalize_to_grid(pixels)
     assert 0 < np.abs(found - exact).max() * c.focal <= GRID_PX / 2
     np.testing.assert_array_equal(found * 2**20, np.rint(found * 2**20))
+
+
+def test_a_rig_in_another_unit_sees_the_same() -> None:
+    rng = np.random.default_rng(8)
+    poses = [RigidTransform.from_components([0.1 * k, 0.2, 3.0], Rotation.random(rng=rng)) for k in range(3)]
+    matrix = np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]])
+    rig = Rig(
+        [Camera(f"cam_{k}", (640, 480), matrix, np.array([0.1, 0, 0, 0]), pose) for k, pose in enumerate(poses)], "m"
+    )
+    points = rng.normal(size=(20, 3))
+    for unit, scale in (("mm", 1000.0), ("cm", 100.0), ("um", 1e6), ("in", 1 / 0.0254), ("ft", 1 / 0.3048), ("m", 1.0)):
+        other = rig.in_unit(unit)
+        assert other.unit == unit
+        for old, new in zip(rig, other, strict=True):
+            np.testing.assert_allclose(new.project(scale * points), old.project(points), rtol=1e-9)
+        back = other.in_unit("m")
+        for old, new in zip(rig, back, strict=True):
+            np.testing.assert_allclose(new.camera_from_world.as_matrix(), old.camera_from_world.as_matrix(), atol=1e-12)
+    new_from_world = RigidTransform.from_components([1.0, 2.0, 3.0], Rotation.random(rng=rng))
+    for old, new in zip(rig, rig.in_world(new_from_world), strict=True):
+        np.testing.assert_allclose(new.project(new_from_world.apply(points)), old.project(points), rtol=1e-9)
+    with pytest.raises(ValueError, match="one of m, cm, mm"):
+        rig.in_unit("league")
+    with pytest.raises(ValueError, match="does not say"):
+        Rig(rig.cameras).in_unit("mm")
+    with pytest.raises(ValueError, match="new_from_world"):
+        rig.in_world(RigidTransform.identity(2))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -30,6 +30,8 @@ MAX_SIDE, MAX_PIXELS = 32766, 2**27
 MAX_PX, MAX_TERM, MAX_LENGTH = 1e9, 1e9, 1e12
 # Of a camera's name, which names files: no longer than file systems take, with something before and behind (choice).
 MAX_NAME = 100
+# Of the units of lengths that can be told in each other.
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 # Image points that are kept are rounded to this at most, pixels: a tenth of the noise of the best features (choice).
 GRID_PX = 1.0 / 128.0
 
@@ -252,6 +254,35 @@ class Rig:
         if not (names := listed(names, str, "names")) or len(set(names)) < len(names):
             raise ValueError(f"names: at least one is expected, and none twice; got {len(names)}")
         return Rig([self[name] for name in names], self.unit)
+
+    def in_unit(self, unit: str) -> Rig:
+        """The same rig with its lengths in another unit: "m", "cm", "mm", "um", "in" or "ft".
+
+        Raises:
+            ValueError: another unit; a rig that does not say its own.
+        """
+        if kind_of(unit, str, "unit") not in METRES:
+            raise ValueError(f"unit must be one of {', '.join(METRES)}, got {shown(unit)}")
+        if self.unit not in METRES:
+            its = f"in {shown(self.unit)}" if self.unit else "in a unit that it does not say"
+            raise ValueError(f"unit: the calibration is {its}, which cannot be told in {unit}")
+        scale = METRES[self.unit] / METRES[unit]
+        poses = [camera.camera_from_world for camera in self]
+        moved = [RigidTransform.from_components(scale * pose.translation, pose.rotation) for pose in poses]
+        return self if unit == self.unit else self._standing(moved, unit)
+
+    def in_world(self, new_from_world: RigidTransform) -> Rig:
+        """The same rig told in another world; a pose `world_from_object` in it is then `new_from_world * world_from_object`.
+
+        Raises:
+            TypeError, ValueError: this is no single transform of finite values.
+        """
+        world_from_new = single_pose(new_from_world, "new_from_world").inv()
+        return self._standing([camera.camera_from_world * world_from_new for camera in self], self.unit)
+
+    def _standing(self, camera_from_world: Sequence[RigidTransform], unit: str) -> Rig:
+        moved = zip(self, camera_from_world, strict=True)
+        return Rig([replace(camera, camera_from_world=pose) for camera, pose in moved], unit)
 
 
 def check_name(name: str) -> None:

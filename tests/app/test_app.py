@@ -264,7 +264,7 @@ def test_what_live_cameras_cannot_do(session: Path, capsys: pytest.CaptureFixtur
     (session / "live.toml").write_text("[sources]\ncam_0 = 0\n")
     assert "live.toml" in wrong(capsys, "track", session)
     (session / "live.toml").unlink()
-    assert "--rate is only for growing folders" in wrong(capsys, "track", session, "--rate", 5)
+    assert "rate: is for folders of images" in wrong(capsys, "track", session, "--rate", 5)
     (session / "live.toml").write_text("[sources]\n" + "".join(f"{n} = {c}\n" for c, n in enumerate(CAMERAS)))
     opened = live.open_live(session)
     with pytest.raises(ValueError, match="live session cannot be resumed"):

@@ -783,3 +783,49 @@ def test_import_is_light() -> None:
         assert name in dir(sylpose)
     with pytest.raises(AttributeError, match="nonsense"):
         _ = sylpose.nonsense
+
+
+def test_calibrations_are_told_in_another_unit(tmp_path: Path, run: Command) -> None:
+    pose = RigidTransform.from_components([0.25, 0, 2.0], Rotation.identity())
+    matrix = np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]])
+    source, target = tmp_path / "rig.toml", tmp_path / "out.toml"
+    calibration.save(Rig([Camera("a", (640, 480), matrix, np.zeros(5), pose)]), source)
+    assert "does not say" in one_sentence(run("calibration", "convert", source, target, "--unit", "mm"))
+    assert not target.exists()
+    assert run("calibration", "convert", source, target, "--is-in", "m", "--unit", "mm").code == 0
+    told = calibration.load(target)
+    assert told.unit == "mm"
+    np.testing.assert_allclose(told["a"].camera_from_world.translation, [250, 0, 2000])
+    assert "says itself" in one_sentence(run("calibration", "convert", target, source, "--is-in", "m"))
+    assert "one of m, cm, mm" in one_sentence(run("calibration", "convert", target, source, "--unit", "league"))
+
+
+def test_results_in_another_unit_about_other_axes(session: Path, tmp_path: Path, run: Command) -> None:
+    """The same poses, a thousand times as far apart, by cameras that are named."""
+    (session / "cam_0.mp4").rename(session / "left.mp4")
+    asked = ["--stop", "4", "--no-overlay", "--camera", "cam_0=left.mp4"]
+    assert run("track", session, "--out", tmp_path / "m", *asked).code == 0
+    assert run("track", session, "--out", tmp_path / "mm", *asked, "--unit", "mm", "--angles", "ZXZ").code == 0
+    metres, millimetres = (read_trajectory(tmp_path / unit / "trajectory.csv") for unit in ("m", "mm"))
+    assert (metres.unit, millimetres.unit) == ("m", "mm")
+    assert metres.solved.sum() == 4
+    for a, b in zip(metres, millimetres, strict=True):
+        assert a.world_from_object is not None
+        assert b.world_from_object is not None
+        # Matches at the limit may count or not, by rounding: within a fraction of what is known.
+        apart = (a.world_from_object.rotation * b.world_from_object.rotation.inv()).as_rotvec()
+        assert (np.abs(apart) <= 0.3 * a.sigma[:3] + 1e-9).all()
+        assert (np.abs(b.position / 1000 - a.position) <= 0.3 * a.sigma[3:] + 1e-9).all()
+        np.testing.assert_allclose(b.sigma, a.sigma * ([1] * 3 + [1000] * 3), rtol=0.1, atol=1e-9)
+    assert "angle2_X_deg" in (tmp_path / "mm" / "trajectory.csv").read_text().splitlines()[0]
+    assert calibration.load(tmp_path / "mm" / "calibration.used.toml").unit == "mm"
+    assert run("view", tmp_path / "mm", "cam_1", "--angles", "xyz").code == 0
+    assert "angle1_x_deg" in (tmp_path / "mm" / "view_cam_1.csv").read_text().splitlines()[0]
+    for option, value, said in (
+        ("--unit", "league", "one of m, cm"),
+        ("--angles", "XXY", "square"),
+        ("--camera", "cam_0", "NAME=FILE"),
+        ("--camera", "cam_0=gone.mp4", "gone.mp4"),
+        ("--rate", 5, "folders of images"),
+    ):
+        assert said in one_sentence(run("track", session, "--out", tmp_path / "m", *asked[:3], option, value))

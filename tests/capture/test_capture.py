@@ -682,3 +682,69 @@ def test_timeline_without_files() -> None:
     assert timeline.frames.tolist() == [[-1, 0], [-1, 1], [0, 2], [1, -1]]
     assert timeline.times.tolist() == [0, 0.2, 0.4, pytest.approx(0.6)]
     assert len(said) == 1
+
+
+@pytest.mark.parametrize(
+    ("files", "cameras"),
+    [
+        (["cam01", "cam02", "cam10"], ["int_cam01_img", "int_cam02_img", "int_cam10_img"]),  # Pose2Sim
+        (["vid1-camA", "vid1-camB", "vid1-camC"], ["A", "B", "C"]),  # Anipose
+        (["2024-05-01 left raw", "2024-05-01 right raw"], ["Left", "Right"]),
+    ],
+)
+def test_names_that_share_words_are_matched_by_those_in_which_they_differ(files: list[str], cameras: list[str]) -> None:
+    assert match_names(files, cameras) == dict(zip(files, cameras, strict=True))
+    assert match_names(files[::-1], cameras) == dict(zip(files, cameras, strict=True))
+    # Not where one is left over, on either side, or nothing tells them apart.
+    assert match_names([*files, f"{files[0]}x"], cameras) == {}
+    assert match_names(files, [*cameras, "x_y"]) == {}
+    assert match_names(["run a", "run b"], ["top", "side"]) == {}
+
+
+def test_cameras_are_named_where_names_do_not_tell(folder: Path) -> None:
+    two_videos(folder)
+    (folder / "cam_0.mp4").rename(folder / "GX010042.mp4")
+    (folder / "cam_1.mp4").rename(folder / "GX010007.mp4")
+    with pytest.raises(ValueError, match="--camera NAME=FILE"):
+        open_session(folder)
+    named: dict[str, Path | str] = {"cam_0": "GX010042.mp4", "cam_1": folder / "GX010007.mp4"}
+    session = open_session(folder, cameras=named)
+    assert [source.path.name for source in session.sources] == ["GX010042.mp4", "GX010007.mp4"]
+    numbers, problems = read(session)
+    assert numbers == [(k, k) for k in range(8)]
+    assert not problems
+    swapped = open_session(folder, cameras={"cam_1": "GX010042.mp4", "cam_0": "GX010007.mp4"})
+    assert [source.path.name for source in swapped.sources] == ["GX010007.mp4", "GX010042.mp4"]
+    # Only the other one is looked for.
+    (folder / "GX010007.mp4").rename(folder / "cam_1.mp4")
+    assert open_session(folder, cameras={"cam_0": "GX010042.mp4"}).sources[1].path.name == "cam_1.mp4"
+    for cameras, said in (
+        ({"cam_9": "GX010042.mp4"}, "'cam_9' is no camera"),
+        ({"cam_0": "GX010042.mp4", "cam_1": "GX010042.mp4"}, "named for camera cam_0 and for camera cam_1"),
+        ({"cam_0": "."}, "no images in this folder"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            open_session(folder, cameras=cameras)
+    with pytest.raises(FileNotFoundError, match="gone"):
+        open_session(folder, cameras={"cam_0": "gone.mp4"})
+
+
+def test_images_have_the_rate_that_is_given(folder: Path) -> None:
+    two_folders(folder)
+    session = open_session(folder, rate=25)
+    assert session.rate == 25
+    np.testing.assert_allclose(session.timeline.times, [0, 0.04, 0.08])
+    for rate in (0, -1, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="rate: frames per second"):
+            open_session(folder, rate=rate)
+    (folder / "timestamps.csv").write_text("frame,cam_0,cam_1\n0,0,0\n1,1,1\n2,2,2\n")
+    with pytest.raises(ValueError, match="csv says"):
+        open_session(folder, rate=25)
+
+
+def test_a_recording_with_another_rig_is_of_the_same_cameras(folder: Path) -> None:
+    two_videos(folder)
+    session = open_session(folder)
+    assert session.with_rig(Rig(session.rig.cameras, "m")).rig.unit == "m"
+    with pytest.raises(ValueError, match="cam_0, cam_1"):
+        session.with_rig(make_rig(1))

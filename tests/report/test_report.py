@@ -7,6 +7,7 @@ import shutil
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import av
@@ -15,15 +16,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.files import output_folder
+from sylpose.numerics.angles import angles_of
 from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.report import drawing, overlay, plots
-from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum, write_tum
+from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum, write_trajectory, write_tum
 from sylpose.report.overlay import OverlayWriter, Shown
 from sylpose.report.plots import plot_trajectory, summary
 from sylpose.report.rigview import describe_rig, meeting_point, plot_rig, view_axes
@@ -348,26 +351,50 @@ def test_frames_without_a_length_are_shaded(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("axis", "column"), [("y", 0), ("x", 1), ("z", 2)])
-def test_plotted_angles_have_no_jumps(axis: str, column: int) -> None:
+def test_plotted_angles_are_those_of_the_csv_and_broken_where_they_go_round(
+    axis: str, column: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     trajectory = turning(90, 7.3, axis)
-    angles = np.degrees(plots._unwrapped(trajectory))[trajectory.solved]
-    expected = np.zeros((90, 3))
-    expected[:, column] = 7.3 * np.arange(90)
-    np.testing.assert_allclose(angles, expected[trajectory.solved], atol=1e-6)
+    write_trajectory(tmp_path, trajectory)
+    with (tmp_path / "trajectory.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["pan_deg"]]
+    in_csv = np.array([[float(row[f"{name}_deg"]) for name in ("pan", "tilt", "roll")] for row in rows])
+    lines: list[tuple[FloatArray, FloatArray]] = []
+    draw = plots._line
+
+    def noted(panel: Axes, x: FloatArray, y: FloatArray, *rest: Any) -> None:
+        lines.append((x, y))
+        draw(panel, x, y, *rest)
+
+    monkeypatch.setattr(plots, "_line", noted)
+    plot_trajectory(trajectory, tmp_path / "report.png")
+    drawn = np.column_stack([y for _, y in lines[:3]])
+    np.testing.assert_allclose(drawn[np.isfinite(drawn).all(axis=1)], in_csv, atol=1e-6)
+    steps = np.abs(np.diff(drawn, axis=0))
+    assert np.nanmax(steps) < plots.JUMP_DEG
+    assert np.nanmax(np.abs(np.diff(in_csv[:, column]))) > (plots.JUMP_DEG if axis != "x" else 7.0)
 
 
-def test_bands_of_pan_tilt_roll_agree_with_sampling() -> None:
-    rng = np.random.default_rng(5)
-    half = rng.normal(size=(3, 3))
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3] = 1e-6 * half @ half.T
-    rotation = Rotation.from_euler("YXZ", [0.7, -1.1, 2.0])
-    pose = FramePose(
-        1, 0.0, FrameStatus.TRACKED, RigidTransform.from_rotation(rotation), covariance, np.array([9]), np.array([0.1])
-    )
-    w = rng.multivariate_normal(np.zeros(3), covariance[:3, :3], size=20_000)
-    sampled = (Rotation.from_rotvec(w) * rotation).as_euler("YXZ").std(axis=0)
-    np.testing.assert_allclose(plots._angle_sigma(pose), sampled, rtol=0.03)
+def test_other_angles_have_columns_of_their_own_and_are_drawn(tmp_path: Path) -> None:
+    trajectory = turning(30, 7.3, "z")
+    about = angles_of("ZXZ")
+    write_trajectory(tmp_path, trajectory, angles=about)
+    with (tmp_path / "trajectory.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row, pose in zip(rows, trajectory, strict=True):
+        own = [row["angle1_Z_deg"], row["angle2_X_deg"], row["angle3_Z_deg"]]
+        if pose.world_from_object is None:
+            assert own == ["", "", ""]
+            continue
+        turn = about.rotation(np.radians([float(cell) for cell in own])) * pose.world_from_object.rotation.inv()
+        assert turn.magnitude() < 1e-7
+    read = read_trajectory(tmp_path / "trajectory.csv")
+    np.testing.assert_allclose(read.positions, trajectory.positions, atol=1e-9)
+    assert [label for label, _ in plots._labels(angles_of("XYZ"))] == [
+        f"angle{k} (about {c})" for k, c in enumerate("xyz", 1)
+    ]
+    plot_trajectory(trajectory, tmp_path / "report.png", angles=about)
+    assert (tmp_path / "report.png").stat().st_size > 10_000
 
 
 def test_shaded_strips_reach_half_way_to_the_next_frame() -> None:

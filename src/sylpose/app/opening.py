@@ -12,14 +12,32 @@ __all__ = ["check_out", "open_asked", "open_recorded"]
 
 
 def open_recorded(
-    path: Path, calibration: Path | None, boxes: Path | None, masks: Path | None, offset: Sequence[str] | None
+    path: Path,
+    calibration: Path | None,
+    boxes: Path | None,
+    masks: Path | None,
+    offset: Sequence[str] | None,
+    camera: Sequence[str] | None = None,
+    rate: float | None = None,
+    unit: str | None = None,
 ) -> Session:
     """A recording; the arguments are the options of the same names, None where they were not given.
 
     Raises:
-        ValueError, FileNotFoundError: as `open_session`; an offset that is not CAMERA=FRAMES.
+        ValueError, FileNotFoundError: as `open_session` and `Rig.in_unit`; an offset that is not CAMERA=FRAMES, a camera
+            that is not NAME=FILE.
     """
-    return open_session(path, calibration=calibration, boxes=boxes, masks=masks, offsets=_offsets(offset))
+    cameras = _cameras(camera)
+    opened = open_session(
+        path,
+        calibration=calibration,
+        boxes=boxes,
+        masks=masks,
+        offsets=_offsets(offset),
+        cameras=cameras,
+        rate=rate,
+    )
+    return opened if unit is None else opened.with_rig(opened.rig.in_unit(unit))
 
 
 def open_asked(
@@ -33,6 +51,8 @@ def open_asked(
     follow: bool,
     lossless: bool,
     rate: float | None,
+    camera: Sequence[str] | None = None,
+    unit: str | None = None,
 ) -> Session | live.LiveSession:
     """A recording, or with `follow` or a live.toml a live session; otherwise as `open_recorded`.
 
@@ -40,19 +60,23 @@ def open_asked(
         ValueError: also for options that have no meaning for this kind of session.
     """
     if not (follow or live.is_live(path)):
-        for option, value in (("--lossless", lossless), ("--rate", rate)):
-            if value:
-                raise ValueError(f"{option} is only for growing folders, with --follow")
-        return open_recorded(path, calibration, boxes, masks, offset)
+        if lossless:
+            raise ValueError("--lossless is only for growing folders, with --follow")
+        return open_recorded(path, calibration, boxes, masks, offset, camera, rate, unit)
+    if camera:
+        raise ValueError(
+            "--camera: of live cameras live.toml says which is which, and growing folders have their names"
+        )
     if offset:
         raise ValueError(
             "--frame-offset: frames of live cameras belong together by their times; --offsets FILE is for delays"
         )
     if resume:
         raise ValueError("--resume: a live session cannot be gone back to")
-    return live.open_live(
+    opened = live.open_live(
         path, calibration=calibration, boxes=boxes, masks=masks, follow=follow, lossless=lossless, rate=rate
     )
+    return opened if unit is None else opened.with_rig(opened.rig.in_unit(unit))
 
 
 def check_out(session: Session | live.LiveSession, out: Path) -> None:
@@ -74,6 +98,18 @@ def check_out(session: Session | live.LiveSession, out: Path) -> None:
             raise ValueError(f"--out {out}: camera {name} has its images there ({path})")
     if session.masks is not None and Path(os.path.realpath(session.masks)) in (there, *there.parents):
         raise ValueError(f"--out {out}: the masks are there ({session.masks})")
+
+
+def _cameras(given: Sequence[str] | None) -> dict[str, str] | None:
+    cameras: dict[str, str] = {}
+    for text in given or ():
+        name, _, file = text.partition("=")
+        if not name or not file:
+            raise ValueError(f"--camera: NAME=FILE is expected, such as cam_2=left.mp4, got {text!r}")
+        if name in cameras:
+            raise ValueError(f"--camera: {name} is given twice")
+        cameras[name] = file
+    return cameras or None
 
 
 def _offsets(given: Sequence[str] | None) -> dict[str, int] | None:

@@ -15,6 +15,7 @@ from sylpose.app.recalibrate import changes, moved_cameras, write_refined
 from sylpose.app.state import OutputState
 from sylpose.app.tracks import FrameFile
 from sylpose.files import output_folder
+from sylpose.numerics.angles import PAN_TILT_ROLL, Angles
 from sylpose.report.files import TrajectoryWriter, write_trajectory
 from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
@@ -47,6 +48,7 @@ class ObjectOutput:
         clock: counts the time of "plots" and "smoothing".
         plot_format: what the report's name ends with.
         note: what it is a report of, a line.
+        angles: three more in the files, and those of the report.
         known: the object, if that is known from another take.
         resume: of an earlier run, to go on with its files. Nothing of them is cut or removed before there is as much again.
 
@@ -64,17 +66,18 @@ class ObjectOutput:
         recalibrate: bool = False,
         plot_format: str = "png",
         note: str = "",
+        angles: Angles | None = None,
         known: KnownObject | None = None,
         resume: OutputState | None = None,
     ) -> None:
         self.folder, self._rig, self._clock = output_folder(folder), rig, clock
         self.changes: list[str] = []
-        self._recalibrate, self._note, self._known = recalibrate, note, known
+        self._recalibrate, self._note, self._known, self._angles = recalibrate, note, known, angles
         self.report_path = self.folder / f"report.{plot_format}"
         state = OutputState() if resume is None else resume
         stem = TRACKED if smooth else RESULT
         writer = None if resume is None else resume.writer
-        self._writer = TrajectoryWriter(self.folder, rig.names, rig.unit, stem=stem, resume=writer)
+        self._writer = TrajectoryWriter(self.folder, rig.names, rig.unit, stem=stem, angles=angles, resume=writer)
         self._tracks = FrameFile(self.folder / TRACKS, Track, state.n_tracks) if smooth else None
         # Of a run of days they are too many for the memory, and the files have them rounded.
         self._poses = FrameFile(self.folder, FramePose)
@@ -167,12 +170,12 @@ class ObjectOutput:
         if not self._ended and _frames_in(self._named(RESULT)[1]) >= self.n_frames + (self._tracks is None):
             return
         if self._tracks is not None:  # as refined, or as tracked where it was interrupted or is too much
-            write_trajectory(self.folder, self._whole, stem=RESULT)
+            write_trajectory(self.folder, self._whole, stem=RESULT, angles=self._angles)
         if self.n_frames:
             with self._clock.part("plots"):
                 from sylpose.report.plots import plot_trajectory
 
-                plot_trajectory(self._whole, self.report_path, note=self._note)
+                plot_trajectory(self._whole, self.report_path, note=self._note, angles=self._angles or PAN_TILT_ROLL)
 
 
 def _frames_in(path: Path) -> int:

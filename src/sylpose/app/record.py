@@ -43,6 +43,7 @@ def write_record(folder: Path, session: Session | LiveSession, options: Mapping[
         if isinstance(value, Mapping):
             text += _table(name, value)
     if isinstance(session, Session):
+        text += _table("cameras", {source.camera: str(source.path.resolve()) for source in session.sources})
         text += "\n# Of what the result depends on; images count by their names and sizes."
         text += _table("checksums", fingerprint(session))
     text += _table("versions", _versions())

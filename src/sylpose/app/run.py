@@ -24,6 +24,7 @@ from sylpose.capture.live import LiveSession
 from sylpose.frames import FrameSet
 from sylpose.methods import FEATURES, METHODS, MODES, features_of
 from sylpose.network.stepwise import NodesTracker
+from sylpose.numerics.angles import angles_of
 from sylpose.report.formats import FORMATS
 from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig
@@ -104,6 +105,7 @@ def track_session(
     smooth: bool | None = None,
     refine_calibration: bool = False,
     plot_format: str = "png",
+    angles: str | None = None,
     known: KnownObject | Mapping[str, KnownObject] | None = None,
     seed: int = 0,
     workers: int | None = None,
@@ -136,6 +138,8 @@ def track_session(
             None: recordings of up to 10,000 frames, with the method "landmarks".
         refine_calibration: smooth, and refine the calibration with the poses; it goes to `calibration.refined.toml`.
         plot_format: of the report: "png", "svg" or "pdf".
+        angles: three more in trajectory.csv, and those of the report: "XYZ" (about axes that turn along), "xyz" (that
+            stand), or three vectors, "0,0,1 1,0,0 0,1,0" (that turn along).
         known: the object, or objects by name, as another take has learnt them (`app.object_files`): their poses are told in
             the frame that they had there. Their boxes are not used.
         workers: as in `Tracker`; the result does not depend on it.
@@ -162,6 +166,7 @@ def track_session(
         raise ValueError(f"--checkpoint must be a number of seconds, 0 or more, got {checkpoint_seconds}")
     if plot_format not in FORMATS:
         raise ValueError(f"plot_format must be one of {', '.join(FORMATS)}, got {plot_format!r}")
+    about = None if angles is None else angles_of(angles)
     if workers is not None and workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}")
     if distributed is not None:
@@ -189,7 +194,12 @@ def track_session(
     if unknown := known.keys() - {*session.objects}:
         raise ValueError(f"known: no object {', '.join(map(repr, sorted(unknown)))} in {session.path}")
     asked["known"] = ", ".join(f"{name} {checksum_of(its)}" for name, its in known.items()) or None
-    asked |= {"smooth": smooth, "refine_calibration": refine_calibration or None, "offsets": offsets or None}
+    asked |= {
+        "angles": angles,
+        "smooth": smooth,
+        "refine_calibration": refine_calibration or None,
+        "offsets": offsets or None,
+    }
     results, clock = _folder_of(session, out), Clock()
     check_out(session, results.path)
     frames = session.frames(start, stop, every, said)
@@ -246,6 +256,7 @@ def track_session(
                 smooth=smooth,
                 recalibrate=refine_calibration,
                 plot_format=plot_format,
+                angles=about,
                 note=_note(session, name, method, smooth),
                 known=known.get(name),
                 resume=state,

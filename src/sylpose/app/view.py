@@ -8,6 +8,7 @@ from pathlib import Path
 from sylpose import __version__, calibration
 from sylpose.app import text
 from sylpose.app.record import USED
+from sylpose.numerics.angles import PAN_TILT_ROLL, Angles, angles_of
 from sylpose.report.files import read_trajectory, write_trajectory
 from sylpose.report.plots import plot_trajectory
 from sylpose.results import Trajectory
@@ -28,6 +29,7 @@ def view_aloud(
     at: tuple[float, float, float] | None,
     out: Path | None,
     plot_format: str = "png",
+    angles: str | None = None,
 ) -> None:
     """Writes a run's trajectory as a camera sees it, and says into which files.
 
@@ -38,6 +40,7 @@ def view_aloud(
         eye, at: where a virtual camera stands and what it looks at.
         out: folder for the files; None: beside the trajectory.
         plot_format: what the picture's name ends with.
+        angles: three more, about the camera's axes, as `numerics.angles.angles_of` reads them.
 
     Raises:
         ValueError, OSError: as the functions below; options that exclude each other.
@@ -51,8 +54,9 @@ def view_aloud(
         raise ValueError("--at needs --from X Y Z: where the camera stands")
     else:
         camera = looked_up(name, calibration_of(result, given))
+    about = None if angles is None else angles_of(angles)
     folder = out if out is not None else result if result.is_dir() else result.parent
-    text.print_files(text.make_console(), "Files", write_view(trajectory, name, camera, folder, plot_format))
+    text.print_files(text.make_console(), "Files", write_view(trajectory, name, camera, folder, plot_format, about))
 
 
 def read_result(path: Path) -> Trajectory:
@@ -122,7 +126,14 @@ def standing(
     return camera_at(name, eye, at, FOCAL, SIZE)
 
 
-def write_view(trajectory: Trajectory, name: str, camera: Camera, folder: Path, plot_format: str = "png") -> list[Path]:
+def write_view(
+    trajectory: Trajectory,
+    name: str,
+    camera: Camera,
+    folder: Path,
+    plot_format: str = "png",
+    angles: Angles | None = None,
+) -> list[Path]:
     """Writes view_NAME.tum, .csv and a picture, the trajectory with the camera in the world's place; returns these files.
 
     A trajectory that was read from its file has standard deviations only: they are turned as if they were independent.
@@ -135,7 +146,8 @@ def write_view(trajectory: Trajectory, name: str, camera: Camera, folder: Path, 
         raise ValueError(f"{name!r} cannot be part of a file's name")
     view = trajectory_view(trajectory, camera)
     stem = f"view_{name}"
-    files = write_trajectory(folder, view, stem=stem, world=name)
+    files = write_trajectory(folder, view, stem=stem, world=name, angles=angles)
     picture = folder / f"{stem}.{plot_format}"
-    plot_trajectory(view, picture, note=f"{folder.resolve().name}, as {name} sees it, sylpose {__version__}")
+    note = f"{folder.resolve().name}, as {name} sees it, sylpose {__version__}"
+    plot_trajectory(view, picture, note=note, angles=angles or PAN_TILT_ROLL)
     return [*files, picture]

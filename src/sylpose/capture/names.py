@@ -15,6 +15,9 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".
 def match_names(found: Iterable[str], cameras: Sequence[str]) -> dict[str, str]:
     """Match names of files to names of cameras: exactly, then tolerantly (`cam_0`, `0`, `Cam0`, `cam-00`, `port_0`).
 
+    Where that finds none, words that all files' names have in common say nothing, nor those that all cameras' have:
+    Pose2Sim's `int_cam01_img` and `cam01`, Anipose's `A` and `vid1-camA`. Only if every camera has its one file by it.
+
     Returns:
         camera's name for each name of `found` that has one.
 
@@ -38,7 +41,7 @@ def match_names(found: Iterable[str], cameras: Sequence[str]) -> dict[str, str]:
             raise ValueError(f"it is not clear which of {', '.join(rivals)} is which camera of {', '.join(candidates)}")
         if candidates:
             matched[name] = candidates[0]
-    return matched
+    return matched or _by_what_differs(names, cameras)
 
 
 def belongs_to(found: Iterable[str], cameras: Sequence[str], where: Path | str) -> dict[str, str]:
@@ -56,6 +59,24 @@ def belongs_to(found: Iterable[str], cameras: Sequence[str], where: Path | str) 
     if unknown:
         raise ValueError(f"{where}: {', '.join(unknown)} is no camera of the calibration ({', '.join(cameras)})")
     return matched
+
+
+def _by_what_differs(names: Sequence[str], cameras: Sequence[str]) -> dict[str, str]:
+    """Camera by name, by the word in which they differ from the others of their kind; nothing unless all are matched."""
+    if len(names) != len(cameras):
+        return {}
+    own, its = _own_words(names), _own_words(cameras)
+    if not all(own) or len(set(own)) < len(own) or set(own) != set(its):
+        return {}
+    by_word = dict(zip(its, cameras, strict=True))
+    return {name: by_word[word] for name, word in zip(names, own, strict=True)}
+
+
+def _own_words(names: Sequence[str]) -> list[str]:
+    """Of each name what is left without the words that all have."""
+    split = [[_key(word) for word in re.split(r"[\s_.-]+", name) if word] for name in names]
+    common = set.intersection(*map(set, split)) if len(split) > 1 else set()
+    return ["_".join(word for word in words if word not in common) for words in split]
 
 
 def image_files(folder: Path) -> list[Path]:

@@ -73,6 +73,18 @@ class SessionBase:
         masks = {name: self._masks[name]} if name in self._masks else {}
         return replace(self, objects=(name,), _boxes=boxes, _masks=masks)
 
+    def with_rig(self, rig: Rig) -> Self:
+        """The same images with other numbers for the same cameras: in another unit or world, or refined.
+
+        Raises:
+            ValueError: other cameras, another order, or other sizes.
+        """
+        if [(c.name, c.size) for c in rig] != [(c.name, c.size) for c in self.rig]:
+            raise ValueError(
+                f"rig: the cameras {', '.join(self.rig.names)} of {self.path} and their sizes are expected"
+            )
+        return replace(self, rig=rig)
+
 
 @dataclass(frozen=True, eq=False)
 class Session(SessionBase):
@@ -172,6 +184,8 @@ def open_session(
     boxes: Path | None = None,
     masks: Path | None = None,
     offsets: Mapping[str, int] | None = None,
+    cameras: Mapping[str, Path | str] | None = None,
+    rate: float | None = None,
 ) -> Session:
     """Open a recording: a folder with one video (`cam_0.mp4`) or one folder of images (`cam_0/`) per camera.
 
@@ -185,6 +199,8 @@ def open_session(
         boxes: the file of boxes, instead of boxes.toml in the folder.
         masks: the folder of masks, instead of masks/ in the folder.
         offsets: by camera; its frame k is shown at instant k + offset, so a camera that starts late has offset > 0.
+        cameras: by camera, its video or folder of images (relative ones in `path`), where the names do not tell.
+        rate: frames per second of folders of images without time stamps.
 
     Raises:
         FileNotFoundError: no such folder or file.
@@ -192,11 +208,17 @@ def open_session(
     """
     path = Path(path)
     with told(path):
-        return _opened(path, calibration, boxes, masks, offsets)
+        return _opened(path, calibration, boxes, masks, offsets, cameras, rate)
 
 
 def _opened(
-    path: Path, calibration: Path | None, boxes: Path | None, masks: Path | None, offsets: Mapping[str, int] | None
+    path: Path,
+    calibration: Path | None,
+    boxes: Path | None,
+    masks: Path | None,
+    offsets: Mapping[str, int] | None,
+    cameras: Mapping[str, Path | str] | None,
+    rate: float | None,
 ) -> Session:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such folder")
@@ -211,12 +233,14 @@ def _opened(
     if masks is None and (path / "masks").is_dir():
         masks = path / "masks"
 
-    sources, warnings = find_sources(path, rig, calibration, not_cameras=[] if masks is None else [masks])
+    sources, warnings = find_sources(
+        path, rig, calibration, not_cameras=[] if masks is None else [masks], named=cameras
+    )
     for source in sources:
         check_readable(source)
     stamps_file = path / "timestamps.csv"
     stamps = load_timestamps(stamps_file, rig.names) if stamps_file.is_file() else None
-    timeline, timeline_warnings = build_timeline(sources, stamps, offsets)
+    timeline, timeline_warnings = build_timeline(sources, stamps, offsets, rate)
     by_object, mask_warnings = ({}, []) if masks is None else find_masks(masks, rig, sources)
     for camera_masks in by_object.values():
         check_first_masks(camera_masks, sources, timeline.frames)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -62,27 +62,34 @@ class Source:
 
 
 def find_sources(
-    path: Path, rig: Rig, calibration: Path, not_cameras: Iterable[Path] = ()
+    path: Path,
+    rig: Rig,
+    calibration: Path,
+    not_cameras: Iterable[Path] = (),
+    named: Mapping[str, Path | str] | None = None,
 ) -> tuple[tuple[Source, ...], list[str]]:
     """The sources of a session's folder in the rig's order, and what looks wrong with them.
 
     Args:
         not_cameras: folders that are something else, such as masks.
+        named: video or folder of images by camera, where the names do not tell; the others are looked for.
 
     Raises:
+        FileNotFoundError: one that is named is not there.
         ValueError: cameras without source and sources without camera (all named), a video that cannot be read,
             an image size that differs from the calibration's.
     """
-    others = {resolved(folder) for folder in not_cameras}
+    by_camera = _named(path, rig, calibration, named or {})
+    left = [name for name in rig.names if name not in by_camera]
+    others = {resolved(folder) for folder in (*not_cameras, *by_camera.values())}
     found = [entry for entry in sorted(path.iterdir()) if _is_source(entry, rig) and resolved(entry) not in others]
-    if not found:
+    if not found and left:
         raise ValueError(f"{path}: no videos and no folders of images, one per camera, in this folder")
-    by_camera: dict[str, Path] = {}
     names = {entry: entry.name if entry.is_dir() else entry.stem for entry in found}
     try:
-        matched = match_names(dict.fromkeys(names.values()), rig.names)
+        matched = match_names(dict.fromkeys(names.values()), left)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{path}: {error}; --camera NAME=FILE says it") from None
     for entry in found:
         name = matched.get(names[entry])
         if name in by_camera:
@@ -90,14 +97,16 @@ def find_sources(
         if name is not None:
             by_camera[name] = entry
     missing = [name for name in rig.names if name not in by_camera]
-    extra = [entry.name for entry in found if names[entry] not in matched]
+    # Where some were named, others may lie beside them.
+    extra = [entry.name for entry in found if names[entry] not in matched] if not named else []
     if missing or extra:
         wrong = []
         if missing:
             wrong.append(f"no video or image folder for camera {', '.join(missing)} of {calibration.name}")
         if extra:
             wrong.append(f"no camera in {calibration.name} ({', '.join(rig.names)}) for {', '.join(extra)}")
-        raise ValueError(f"{path}: {'; '.join(wrong)}; found {', '.join(entry.name for entry in found)}")
+        listed = ", ".join(entry.name for entry in found)
+        raise ValueError(f"{path}: {'; '.join(wrong)}; found {listed}; --camera NAME=FILE says which is which")
 
     warnings: list[str] = []
     sources = []
@@ -105,6 +114,23 @@ def find_sources(
         entry = by_camera[camera.name]
         sources.append(_probe_images(entry, camera) if entry.is_dir() else _probe_video(entry, camera, warnings))
     return tuple(sources), warnings
+
+
+def _named(path: Path, rig: Rig, calibration: Path, named: Mapping[str, Path | str]) -> dict[str, Path]:
+    entries: dict[str, Path] = {}
+    for name, file in named.items():
+        if name not in rig.names:
+            raise ValueError(f"cameras: {name!r} is no camera of {calibration.name} ({', '.join(rig.names)})")
+        entry = path / file
+        if not entry.exists():
+            raise FileNotFoundError(f"{entry}: no such video or folder of images, for camera {name}")
+        if entry.is_dir() and not image_files(entry):
+            raise ValueError(f"{entry}: no images in this folder, for camera {name}")
+        same = [other for other, its in entries.items() if resolved(its) == resolved(entry)]
+        if same:
+            raise ValueError(f"{entry}: named for camera {same[0]} and for camera {name}")
+        entries[name] = entry
+    return entries
 
 
 def open_video(path: Path) -> tuple[InputContainer, VideoStream]:

@@ -82,7 +82,10 @@ def _stamps_in(text: str, cameras: Sequence[str], path: Path) -> FloatArray:
 
 
 def build_timeline(
-    sources: tuple[Source, ...], stamps: FloatArray | None = None, offsets: Mapping[str, int] | None = None
+    sources: tuple[Source, ...],
+    stamps: FloatArray | None = None,
+    offsets: Mapping[str, int] | None = None,
+    rate: float | None = None,
 ) -> tuple[Timeline, list[str]]:
     """The timeline of a session, and what looks wrong with it.
 
@@ -92,12 +95,20 @@ def build_timeline(
     Args:
         stamps: (n, C) of `load_timestamps`.
         offsets: frames by camera; positive for a camera that starts late.
+        rate: frames per second of folders of images, which do not say it.
 
     Raises:
+        ValueError: a rate that is no positive number, or of what says its own: videos, time stamps.
         ValueError: an unknown camera or a value in `offsets` that is no whole number, or more than there are frames; both
             offsets and time stamps; no frame left.
     """
     warnings: list[str] = []
+    if rate is not None:
+        if not (np.isfinite(rate) and rate > 0):
+            raise ValueError(f"rate: frames per second, a positive number, are expected, got {rate}")
+        if stamps is not None or any(source.kind == "video" for source in sources):
+            its = "timestamps.csv says" if stamps is not None else "videos say themselves"
+            raise ValueError(f"rate: is for folders of images without time stamps; {its} when frames were taken")
     if stamps is not None:
         if offsets:
             raise ValueError("offsets cannot be combined with time stamps, which already say when each frame was taken")
@@ -111,16 +122,18 @@ def build_timeline(
     if stamps is not None:
         stamps = stamps[: len(frames)]
         times = np.nanmean(stamps, axis=1)
-        rate = float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 else None
+        its_rate = float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 else None
     else:
         stamps = np.full(frames.shape, np.nan)
         rates = {source.camera: source.rate for source in sources if source.rate}
-        rate = next(iter(rates.values()), None)
-        if rate and max(rates.values()) > 1.01 * min(rates.values()):
+        its_rate = next(iter(rates.values()), rate)
+        if rates and max(rates.values()) > 1.01 * min(rates.values()):
             listed = ", ".join(f"{camera} {value:.6g}" for camera, value in rates.items())
-            warnings.append(f"The videos' frame rates differ ({listed}); {rate:.6g} per second is used for the times.")
-        times = np.arange(len(frames)) / (rate or 1.0)
-    return Timeline(frames, times, stamps, rate), warnings
+            warnings.append(
+                f"The videos' frame rates differ ({listed}); {its_rate:.6g} per second is used for the times."
+            )
+        times = np.arange(len(frames)) / (its_rate or 1.0)
+    return Timeline(frames, times, stamps, its_rate), warnings
 
 
 def _numbers(row: list[str], frame: int, columns: int, where: str) -> FloatArray:

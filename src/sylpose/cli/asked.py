@@ -12,21 +12,26 @@ import typer
 
 from sylpose.reading import SENTENCE, one_line
 from sylpose.report.formats import FORMATS
+from sylpose.rig import METRES
 
 __all__ = [
     "INTERRUPTED",
     "WRONG_INPUT",
+    "Axes",
     "BoxesFile",
     "CalibrationFile",
+    "CameraFiles",
     "MasksFolder",
     "Offsets",
     "OutFolder",
     "Overlay",
     "PlotFormat",
+    "Rate",
     "RefineCalibration",
     "Seed",
     "SessionPath",
     "Stop",
+    "Unit",
     "app",
     "examples",
     "fail",
@@ -107,6 +112,31 @@ Offsets = Annotated[
     list[str] | None,
     typer.Option(
         "--frame-offset", metavar="CAM=N", help="A camera that starts N frames late; may be given several times."
+    ),
+]
+Axes = Annotated[
+    str | None,
+    typer.Option(
+        "--angles",
+        metavar="AXES",
+        help="Three more angles in the CSV, and those of the plots: XYZ (axes that turn along), xyz (that stand), or three "
+        'vectors, "0,0,1 1,0,0 0,1,0".',
+    ),
+]
+CameraFiles = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--camera", metavar="NAME=FILE", help="A camera's video or folder, where its name does not tell; several times."
+    ),
+]
+Rate = Annotated[
+    float | None,
+    typer.Option("--rate", metavar="HZ", help="Frames per second of folders of images; for times in seconds."),
+]
+Unit = Annotated[
+    str | None,
+    typer.Option(
+        "--unit", metavar="|".join(METRES), help="Of all lengths in the results; the calibration's by default."
     ),
 ]
 OutFolder = Annotated[

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from sylpose.cli.asked import app, examples, spoken
+from sylpose.rig import METRES
 
 __all__ = ["convert"]
 
@@ -21,6 +22,12 @@ app.add_typer(calibration_app, name="calibration")
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Calibration in any format that sylpose reads.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="A .toml (sylpose's), .yml, .json or .xml (OpenCV's).")],
+    unit: Annotated[
+        str | None, typer.Option(metavar="|".join(METRES), help="Of all lengths in OUT; that of IN by default.")
+    ] = None,
+    is_in: Annotated[
+        str | None, typer.Option(metavar="|".join(METRES), help="The unit of IN, which does not say it itself.")
+    ] = None,
 ) -> None:
     """Write a calibration in another format.
 
@@ -28,7 +35,15 @@ def convert(
     OpenCV FileStorage.
     """
     from sylpose import calibration
+    from sylpose.rig import Rig
 
     rig = calibration.load(source)
+    if is_in is not None:
+        if rig.unit not in ("", is_in):
+            raise ValueError(f"--is-in {is_in}: {source} says itself that it is in {rig.unit}")
+        if is_in not in METRES:
+            raise ValueError(f"--is-in must be one of {', '.join(METRES)}, got {is_in!r}")
+        rig = Rig(rig.cameras, is_in)
+    rig = rig if unit is None else rig.in_unit(unit)
     calibration.save(rig, target)
     print(f"{target}: {len(rig)} cameras ({', '.join(rig.names)})")

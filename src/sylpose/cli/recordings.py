@@ -10,12 +10,15 @@ import typer
 from sylpose.cli.asked import (
     BoxesFile,
     CalibrationFile,
+    CameraFiles,
     MasksFolder,
     Offsets,
     OutFolder,
+    Rate,
     Seed,
     SessionPath,
     Stop,
+    Unit,
     app,
     examples,
     fail,
@@ -37,6 +40,9 @@ def check(
     masks: MasksFolder = None,
     offset: Offsets = None,
     out: OutFolder = None,
+    camera: CameraFiles = None,
+    rate: Rate = None,
+    unit: Unit = None,
 ) -> None:
     """What sylpose understands of a recording, and what looks wrong with it.
 
@@ -45,7 +51,7 @@ def check(
     from sylpose.app.check import check_aloud
     from sylpose.app.opening import open_recorded
 
-    check_aloud(open_recorded(session, calibration, boxes, masks, offset), out)
+    check_aloud(open_recorded(session, calibration, boxes, masks, offset, camera, rate, unit), out)
 
 
 @app.command(
@@ -61,15 +67,17 @@ def sync(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Where the offsets go; SESSION/offsets.toml by default.")
     ] = None,
+    camera: CameraFiles = None,
+    rate: Rate = None,
     max_lag: Annotated[float, typer.Option(metavar="SEC", help="How far apart two cameras may be.")] = 3.0,
     start: Annotated[int, typer.Option(metavar="N", help="The first frame to look at.")] = 0,
     stop: Stop = None,
     seed: Seed = 0,
 ) -> None:
     """How far apart in time the cameras are, from the recorded motion. Writes offsets.toml, which track uses."""
+    from sylpose.app.opening import open_recorded
     from sylpose.app.sync import Known, sync_aloud
-    from sylpose.capture import open_session
 
-    opened = open_session(session, calibration=calibration, boxes=boxes, masks=masks)
+    opened = open_recorded(session, calibration, boxes, masks, None, camera, rate)
     if set(sync_aloud(opened, out, max_lag=max_lag, start=start, stop=stop, seed=seed).known) == {Known.NOT}:
         fail(["no offset could be found; nothing was written"])

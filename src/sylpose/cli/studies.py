@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import PlotFormat, Seed, app, examples, fail, spoken
+from sylpose.cli.asked import Axes, PlotFormat, Seed, app, examples, fail, spoken
 
 __all__ = ["demo", "experiments", "view"]
 
@@ -63,6 +63,7 @@ def view(
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the view goes; RESULT by default.")] = None,
     plot_format: PlotFormat = "png",
+    angles: Axes = None,
 ) -> None:
     """A finished trajectory in the axes of a camera: one of the rig, one that saw nothing, or a virtual one.
 
@@ -70,7 +71,7 @@ def view(
     """
     from sylpose.app.view import view_aloud
 
-    view_aloud(result, camera, calibration, eye, at, out, plot_format)
+    view_aloud(result, camera, calibration, eye, at, out, plot_format, angles)
 
 
 @app.command(

@@ -8,17 +8,21 @@ from typing import Annotated
 import typer
 
 from sylpose.cli.asked import (
+    Axes,
     BoxesFile,
     CalibrationFile,
+    CameraFiles,
     MasksFolder,
     Offsets,
     OutFolder,
     Overlay,
     PlotFormat,
+    Rate,
     RefineCalibration,
     Seed,
     SessionPath,
     Stop,
+    Unit,
     app,
     examples,
     fail,
@@ -100,9 +104,10 @@ def track(
     lossless: Annotated[
         bool, typer.Option("--lossless", help="With --follow: track all frames, however late.")
     ] = False,
-    rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="With --follow: frames per second; for times in seconds.")
-    ] = None,
+    rate: Rate = None,
+    camera: CameraFiles = None,
+    unit: Unit = None,
+    angles: Axes = None,
     poses: Annotated[
         str | None,
         typer.Option(metavar="TO", help="Tell each pose as a line of JSON: - for stdout, or udp://HOST:PORT."),
@@ -127,7 +132,17 @@ def track(
 
     features_of(method, features)
     opened = open_asked(
-        session, calibration, boxes, masks, offset, resume=resume, follow=follow, lossless=lossless, rate=rate
+        session,
+        calibration,
+        boxes,
+        masks,
+        offset,
+        resume=resume,
+        follow=follow,
+        lossless=lossless,
+        rate=rate,
+        camera=camera,
+        unit=unit,
     )
     if resume and has_ended(opened, out):
         print(f"{output_path(opened, out)}: the run there has ended; there is nothing to resume")
@@ -149,6 +164,7 @@ def track(
         checkpoint_seconds=checkpoint,
         seed=seed,
         plot_format=plot_format,
+        angles=angles,
         known=known_objects(known, opened.objects, opened.rig),
         quiet=quiet,
         verbose=verbose,

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.files import beside, output_folder, replacing, writing
+from sylpose.numerics.angles import Angles
 from sylpose.numerics.arrays import FloatArray
 from sylpose.reading import MAX_TABLE, text_of, told
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
@@ -67,6 +68,7 @@ class TrajectoryWriter:
         unit: the calibration's length unit, or "".
         stem: another name for the files.
         world: what the poses are told in, if not in the world.
+        angles: three more, in columns of their own, in degrees.
         resume: of an earlier writer of the same files, to go on from there. What was written since is written over, as it
             should be by the same bytes, and is not cut before `cut_rest`: a run that fails once more leaves no less.
 
@@ -83,22 +85,24 @@ class TrajectoryWriter:
         *,
         stem: str = "trajectory",
         world: str = "world",
+        angles: Angles | None = None,
         resume: WriterState | None = None,
     ) -> None:
         folder = output_folder(out_dir)
         self.camera_names = tuple(camera_names)
-        self.unit = unit
+        self.unit, self._angles = unit, angles
         self.tum_path = folder / f"{stem}.tum"
         self.csv_path = folder / f"{stem}.csv"
         self._quaternion = None if resume is None else resume.quaternion
         self._last = -1  # the number of the last frame
         per_camera = [f"{what}_{n}" for what in ("inliers", "residual_px", "doubt", "matches") for n in camera_names]
+        own = [] if angles is None else [f"{name}_deg" for name in angles.names]
         self._tum = _open(self.tum_path, None if resume is None else resume.tum_bytes)
         try:
             self._csv = _open(self.csv_path, None if resume is None else resume.csv_bytes)
             if resume is None or not resume.csv_bytes:
                 self._put(self._tum, self.tum_path, _tum_header(unit, world))
-                self._put(self._csv, self.csv_path, _csv_line([*_COLUMNS, *per_camera, "faults", "reason"]))
+                self._put(self._csv, self.csv_path, _csv_line([*_COLUMNS, *own, *per_camera, "faults", "reason"]))
         except (OSError, ValueError):
             self.close()
             raise
@@ -159,6 +163,9 @@ class TrajectoryWriter:
         cells += [_cell(v, 12) for v in (*pose.position, *quaternion)]
         cells += [_cell(v, 9) for v in np.degrees(pose.pan_tilt_roll)]
         cells += [_cell(v, 6) for v in pose.sigma / _SD_TO_RADIANS]
+        if self._angles is not None:
+            its = pose.world_from_object
+            cells += [""] * 3 if its is None else [_cell(v, 9) for v in np.degrees(self._angles.of(its.rotation))]
         cells += [str(int(count)) for count in pose.inliers] + [_cell(v, 6) for v in pose.residuals]
         cells += ["inf" if np.isinf(v) else _cell(v, 4) for v in doubt]
         cells += [str(int(count)) for count in pose.matches] if len(pose.matches) else [""] * n
@@ -268,7 +275,12 @@ def _frame(cells: dict[str, str], names: Sequence[str]) -> FramePose:
 
 
 def write_trajectory(
-    folder: Path | str, trajectory: Trajectory, *, stem: str = "trajectory", world: str = "world"
+    folder: Path | str,
+    trajectory: Trajectory,
+    *,
+    stem: str = "trajectory",
+    world: str = "world",
+    angles: Angles | None = None,
 ) -> list[Path]:
     """Writes `STEM.tum` and `STEM.csv`, as a `TrajectoryWriter` does, each whole before it takes an older one's place.
 
@@ -283,7 +295,8 @@ def write_trajectory(
         for path in paths:
             whole.enter_context(replacing(path))
         part = beside(paths[0]).stem
-        with TrajectoryWriter(folder, trajectory.camera_names, trajectory.unit, stem=part, world=world) as writer:
+        names, unit = trajectory.camera_names, trajectory.unit
+        with TrajectoryWriter(folder, names, unit, stem=part, world=world, angles=angles) as writer:
             for pose in trajectory:
                 writer.write(pose)
     return paths

@@ -15,12 +15,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from scipy.spatial.transform import Rotation
 
 from sylpose.files import replacing
+from sylpose.numerics.angles import PAN_TILT_ROLL, Angles
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.report.disagreement import disagreements, remarks
-from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
+from sylpose.results import FrameStatus, Observable, Trajectory
 
 __all__ = ["camera_colors", "finish", "new_figure", "plot_trajectory", "save_figure", "summary"]
 
@@ -39,6 +39,8 @@ INK = "#333333"
 MOST_REASONS = 8
 # With more frames than this, markers would run into each other.
 MARKED_FRAMES = 80
+# Angles that change by more from a frame to the next have gone round, degrees (choice: beyond any turn, below 180).
+JUMP_DEG = 150.0
 
 
 def camera_colors(n: int) -> list[str]:
@@ -75,8 +77,12 @@ def summary(trajectory: Trajectory) -> str:
     return ", ".join(parts)
 
 
-def plot_trajectory(trajectory: Trajectory, path: Path | str, *, note: str = "") -> None:
-    """Draws pan, tilt, roll and the total turn, the position since the start, inliers and residuals per camera over time.
+def plot_trajectory(
+    trajectory: Trajectory, path: Path | str, *, note: str = "", angles: Angles = PAN_TILT_ROLL
+) -> None:
+    """Draws three angles and the total turn, the position since the start, inliers and residuals per camera over time.
+
+    Angles are those of the CSV, their lines broken where they go round.
 
     Bands are two standard deviations either way, to first order in the covariance. Poses that are carried on only
     (coasting) or hardly known (uncertain) are dotted and pale; these frames and those without a pose are shaded. While
@@ -87,6 +93,7 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str, *, note: str = "")
         trajectory: of at least one frame.
         path: of the picture (.png, .svg, .pdf); replaced when it is there.
         note: a line below, of what this is a picture of.
+        angles: which three.
 
     Raises:
         ValueError: a trajectory without frames.
@@ -107,17 +114,18 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str, *, note: str = "")
         title += "\n" + said[0] + (f" And {len(said) - 1} more: see trajectory.csv." if len(said) > 1 else "")
     figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
 
-    angles, position, inliers, residuals = panels
-    values, sigmas = np.degrees(_unwrapped(trajectory)), np.degrees(_angle_sigmas(trajectory))
-    for k, label, color in (
-        (0, "pan (about y)", Y_COLOR),
-        (1, "tilt (about x)", X_COLOR),
-        (2, "roll (about z)", Z_COLOR),
-    ):
-        _line(angles, times, values[:, k], sigmas[:, k], pale, color, label, marker)
+    turns, position, inliers, residuals = panels
+    values, sigmas = np.degrees(_angles(trajectory, angles)), np.degrees(_angle_sigmas(trajectory, angles))
+    # Broken where they go round: of (180, 0, 180) and (0, 180, 0) the CSV has one, too.
+    jumps = 1 + np.flatnonzero((np.abs(np.diff(values, axis=0)) > JUMP_DEG).any(axis=1))
+    at = np.insert(times, jumps, times[jumps])
+    values, sigmas = np.insert(values, jumps, np.nan, axis=0), np.insert(sigmas, jumps, np.nan, axis=0)
+    pale_too = np.insert(pale, jumps, False)
+    for k, (label, color) in enumerate(_labels(angles)):
+        _line(turns, at, values[:, k], sigmas[:, k], pale_too, color, label, marker)
     turn = np.where(solved, np.degrees(trajectory.turn), np.nan)
-    angles.plot(times, turn, color=INK, linewidth=1.2, linestyle="--", label="total turn (0 to 180°)")
-    angles.set_ylabel("angle (degrees)")
+    turns.plot(times, turn, color=INK, linewidth=1.2, linestyle="--", label="total turn (0 to 180°)")
+    turns.set_ylabel("angle (degrees)")
 
     start = trajectory.positions[solved][0] if solved.any() else np.full(3, np.nan)
     moved = trajectory.positions - start
@@ -158,8 +166,8 @@ def plot_trajectory(trajectory: Trajectory, path: Path | str, *, note: str = "")
     pad = 0.01 * (times[-1] - times[0]) or 0.5
     residuals.set_xlim(times[0] - pad, times[-1] + pad)
     band = [Patch(color=Z_COLOR, alpha=0.25, linewidth=0, label="± 2 standard deviations")]
-    handles: list[Line2D | Patch] = [*angles.get_lines(), *band, *shading]
-    _legend(angles, [h for h in handles if not str(h.get_label()).startswith("_")])
+    handles: list[Line2D | Patch] = [*turns.get_lines(), *band, *shading]
+    _legend(turns, [h for h in handles if not str(h.get_label()).startswith("_")])
     _legend(position, [line for line in position.get_lines() if not str(line.get_label()).startswith("_")])
     _legend(inliers, list(inliers.get_lines()))
     figure.align_ylabels(panels)
@@ -301,34 +309,26 @@ def _strips(times: FloatArray, frames: BoolArray) -> Iterator[tuple[float, float
         yield float(edges[first]), float(edges[end])
 
 
-def _unwrapped(trajectory: Trajectory) -> FloatArray:
-    """(N, 3) pan, tilt, roll in radians without jumps; NaN rows where there is no pose.
-
-    Of the two triples that give the same rotation, (p, t, r) and (p + pi, pi - t, r + pi), the one nearer to the frame
-    before is taken, so that a turn over the top is a line too.
-    """
-    out = np.array([f.pan_tilt_roll for f in trajectory])
-    before = np.zeros(3)
-    for i in np.flatnonzero(np.isfinite(out).all(axis=1)):
-        row = out[i]
-        candidates = np.array([row, [row[0] + np.pi, np.pi - row[1], row[2] + np.pi]])
-        candidates += 2 * np.pi * np.round((before - candidates) / (2 * np.pi))
-        out[i] = before = candidates[np.argmin(np.abs(candidates - before).sum(axis=1))]
-    return out
+def _labels(angles: Angles) -> list[tuple[str, str]]:
+    """What the three are called, and their colours: those of the axes, where they turn about axes each of its own."""
+    colors = (X_COLOR, Y_COLOR, Z_COLOR)
+    about = [int(k) for k in np.argmax(np.abs(angles.axes), axis=1)]
+    exact = np.array_equal(angles.axes, np.eye(3)[about])
+    own = about if len(set(about)) == 3 else [0, 1, 2]
+    labels = [
+        f"{name.partition('_')[0]} (about {'xyz'[k]})" if exact else name
+        for name, k in zip(angles.names, about, strict=True)
+    ]
+    return [(label, colors[k]) for label, k in zip(labels, own, strict=True)]
 
 
-def _angle_sigmas(trajectory: Trajectory) -> FloatArray:
-    """(N, 3) standard deviations of pan, tilt, roll in radians; NaN where there is none."""
-    return np.array([_angle_sigma(f) for f in trajectory])
+def _angles(trajectory: Trajectory, angles: Angles) -> FloatArray:
+    """(N, 3) radians, as in the CSV; NaN rows where there is no pose."""
+    places = [f.world_from_object for f in trajectory]
+    return np.array([np.full(3, np.nan) if place is None else angles.of(place.rotation) for place in places])
 
 
-def _angle_sigma(pose: FramePose) -> FloatArray:
-    """From the covariance of w in R = exp(w) R̂: w = y dpan + R_y x dtilt + R_y R_x z droll, inverted."""
-    covariance = pose.covariance[:3, :3]
-    pan, tilt, _ = pose.pan_tilt_roll
-    if pose.world_from_object is None or not np.isfinite(covariance).all() or abs(np.cos(tilt)) < 1e-3:
-        return np.full(3, np.nan)
-    turn_y, turn_x = Rotation.from_euler("y", pan), Rotation.from_euler("x", tilt)
-    w_from_angles = np.column_stack([[0, 1, 0], turn_y.apply([1, 0, 0]), (turn_y * turn_x).apply([0, 0, 1])])
-    angles_from_w = np.linalg.inv(w_from_angles)
-    return np.asarray(np.sqrt(np.diag(angles_from_w @ covariance @ angles_from_w.T)))
+def _angle_sigmas(trajectory: Trajectory, angles: Angles) -> FloatArray:
+    """(N, 3) standard deviations of the angles in radians; NaN where there is none."""
+    poses = [(f.world_from_object, f.covariance[:3, :3]) for f in trajectory]
+    return np.array([np.full(3, np.nan) if p is None else angles.sigma(p.rotation, c) for p, c in poses])
