@@ -829,8 +829,8 @@ def test_results_in_another_unit_about_other_axes(session: Path, tmp_path: Path,
         ("--rate", 5, "folders of images"),
     ):
         others = asked[:4] if option == "--camera" else asked
-            refused = run("track", session, "--out", tmp_path / "m", *others, option, value)
-            assert said in one_sentence(refused)
+        refused = run("track", session, "--out", tmp_path / "m", *others, option, value)
+        assert said in one_sentence(refused)
 
 
 def test_nothing_depends_on_the_unit(session: Path, tmp_path: Path) -> None:
