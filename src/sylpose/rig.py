@@ -16,6 +16,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.checked import finite, finite_rows, items, kind_of, listed, number, real, rows, shown, whole
 from sylpose.numerics.lens import TERMS, projected
 from sylpose.reading import one_line
+from sylpose.units import METRES
 
 __all__ = ["Camera", "Rig", "nearest_point_to_rays"]
 
@@ -30,8 +31,6 @@ MAX_SIDE, MAX_PIXELS = 32766, 2**27
 MAX_PX, MAX_TERM, MAX_LENGTH = 1e9, 1e9, 1e12
 # Of a camera's name, which names files: no longer than file systems take, with something before and behind (choice).
 MAX_NAME = 100
-# Of the units of lengths that can be told in each other.
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 # Image points that are kept are rounded to this at most, pixels: a tenth of the noise of the best features (choice).
 GRID_PX = 1.0 / 128.0
 

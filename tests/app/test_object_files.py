@@ -222,14 +222,17 @@ def test_cameras_that_are_calibrated_anew_make_poses_less_certain(
     ]
     calibration.save(Rig(cameras, "m"), tmp_path / "rig.toml")
     session = open_session(take, calibration=tmp_path / "rig.toml")
+    same = track_session(open_session(take), tmp_path / "same", overlay=False, smooth=True, known=known)
+    usual = np.mean([pose.sigma[:3].min() for pose in same.trajectory])
     for smooth in (False, True):
         run = track_session(session, tmp_path / "out", overlay=False, smooth=smooth, known=known)
         wrong = [errors(pose, elsewhere(pose.index) * actor_from_object) for pose in run.trajectory]
         squares = [e @ np.linalg.solve(p.covariance, e) / 6 for e, p in zip(wrong, run.trajectory, strict=True)]
         assert 0.02 < np.mean(squares) < 3.0
         assert min(np.degrees(pose.sigma[:3]).min() for pose in run.trajectory) > 0.2
-    same = track_session(open_session(take), tmp_path / "same", overlay=False, smooth=True, known=known)
-    assert max(np.degrees(pose.sigma[:3]).min() for pose in same.trajectory) < 0.2
+        # What the object's landmarks know is a little more or less with every machine's rounding: hence as a ratio, which
+        # is 1.5 to 2.1 over the seeds.
+        assert 1.25 < np.mean([pose.sigma[:3].min() for pose in run.trajectory]) / usual < 4.0
 
 
 def test_options_that_exclude_a_known_object(known: KnownObject, first: Path) -> None:

@@ -12,7 +12,7 @@ import typer
 
 from sylpose.reading import SENTENCE, one_line
 from sylpose.report.formats import FORMATS
-from sylpose.rig import METRES
+from sylpose.units import METRES
 
 __all__ = [
     "INTERRUPTED",

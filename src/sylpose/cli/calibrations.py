@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from sylpose.cli.asked import app, examples, spoken
-from sylpose.rig import METRES
+from sylpose.units import METRES
 
 __all__ = ["convert"]
 
