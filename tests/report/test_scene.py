@@ -59,7 +59,7 @@ def test_points_have_the_colour_of_the_camera_that_saw_them() -> None:
     cloud = Cloud(np.eye(3), np.array([2, 0, 2]), 0.1)
     scene = scene_of(trajectory(), rig(), cloud)
     assert scene.axis_length == 0.1
-    assert np.array_equal(scene.point_colors, scene.colors[[2, 0, 2]])
+    assert scene.point_cameras.tolist() == [2, 0, 2]
     assert len({*map(tuple, scene.colors.tolist())}) == 3
 
 

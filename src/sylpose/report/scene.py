@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.report.plots import camera_colors
 from sylpose.report.rigview import meeting_point, view_axes
 from sylpose.results import Trajectory
@@ -44,11 +44,11 @@ class Stills:
 
     Attributes:
         index: (K,) numbers of these frames in the recording, in order.
-        images: for each of them C images, (h, w, 3) BGR, or None where a camera had none.
+        images: for each of them C images, JPEG files, or None where a camera had none.
     """
 
     index: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    images: tuple[tuple[Image | None, ...], ...] = ()
+    images: tuple[tuple[bytes | None, ...], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class Scene:
         status: (N) words, `results.FrameStatus`.
         reason: (N) why a frame has no pose, or none that was measured; "" else.
         points: (n, 3) on the object, in its frame.
-        point_colors: (n, 3) of 0 ... 255: of the camera that saw them.
+        point_cameras: (n,) number of the camera that saw each; `colors[point_cameras]` are their colours.
         axis_length: of the object's axes: its radius.
         stills: images of some of the frames.
     """
@@ -97,7 +97,7 @@ class Scene:
     status: tuple[str, ...]
     reason: tuple[str, ...]
     points: FloatArray
-    point_colors: IntArray
+    point_cameras: IntArray
     axis_length: float
     stills: Stills
 
@@ -143,7 +143,7 @@ def scene_of(trajectory: Trajectory, rig: Rig, cloud: Cloud | None = None, still
         status=tuple(f.status.value for f in trajectory),
         reason=tuple(f.reason for f in trajectory),
         points=cloud.points,
-        point_colors=colors[cloud.cameras],
+        point_cameras=cloud.cameras,
         axis_length=cloud.radius,
         stills=Stills() if stills is None else stills,
     )
