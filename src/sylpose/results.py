@@ -12,7 +12,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.checked import kind_of, listed
-from sylpose.numerics.matrices import covariance_of
+from sylpose.numerics.matrices import carried, covariance_of
+from sylpose.rig import single_pose
 
 __all__ = [
     "UNCERTAIN_TURN",
@@ -272,6 +273,22 @@ class FramePose:
         if not np.isfinite(about).all() or np.linalg.eigvalsh(about)[-1] > UNCERTAIN_TURN**2:
             return replace(self, status=FrameStatus.UNCERTAIN)
         return replace(self, status=FrameStatus.TRACKED) if self.status is FrameStatus.UNCERTAIN else self
+
+    def of_frame(self, new_from_object: RigidTransform) -> Self:
+        """The pose of another frame of the object: of its axes, and of the place of its origin.
+
+        Raises:
+            TypeError, ValueError: this is no single transform of finite values.
+        """
+        new_from_object = single_pose(new_from_object, "new_from_object")
+        before = self.world_from_object
+        if before is None:
+            return self
+        after = before * new_from_object.inv()
+        # An error of the turn moves an origin elsewhere: d + w x r.
+        by, (x, y, z) = np.eye(6), after.translation - before.translation
+        by[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        return replace(self, world_from_object=after, covariance=carried(self.covariance, by))
 
     @property
     def sigma(self) -> FloatArray:

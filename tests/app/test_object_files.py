@@ -23,7 +23,8 @@ from sylpose.report.files import read_trajectory
 from sylpose.results import FramePose, Observable
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
-from sylpose.tracking.known_object import KnownObject, check_rig
+from sylpose.tracking.known_here import known_here
+from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -195,18 +196,18 @@ def test_an_object_that_does_not_come_is_not_found(tmp_path: Path, known: KnownO
 
 
 def test_other_cameras_units_and_places_are_said(known: KnownObject) -> None:
-    check_rig(known, RIG)
-    check_rig(known, RIG.subset(["cam_0", "cam_2"]))
+    known_here(known, RIG)
+    known_here(known, RIG.subset(["cam_0", "cam_2"]))
     with pytest.raises(ValueError, match="its lengths are in m, those of the calibration in mm"):
-        check_rig(known, Rig(RIG.cameras, "mm"))
+        known_here(known, Rig(RIG.cameras, "mm"))
     with pytest.raises(ValueError, match=r"it was seen by cam_0, .*, and the calibration has none of these \(a, b\)"):
-        check_rig(known, Rig([replace(c, name=n) for c, n in zip(RIG.cameras, "ab", strict=False)], "m"))
+        known_here(known, Rig([replace(c, name=n) for c, n in zip(RIG.cameras, "ab", strict=False)], "m"))
     turned = RigidTransform.from_rotation(Rotation.from_rotvec([0, 0.1, 0])) * RIG.cameras[1].camera_from_world
     moved = [*RIG.cameras[:1], replace(RIG.cameras[1], camera_from_world=turned), *RIG.cameras[2:]]
     with pytest.raises(ValueError, match=r"cam_1 is another camera than the one that saw it, or stands elsewhere"):
-        check_rig(known, Rig(moved, "m"))
+        known_here(known, Rig(moved, "m"))
     little = RigidTransform.from_rotation(Rotation.from_rotvec([0, 0.002, 0])) * RIG.cameras[1].camera_from_world
-    check_rig(known, Rig([*RIG.cameras[:1], replace(RIG.cameras[1], camera_from_world=little), *RIG.cameras[2:]], "m"))
+    known_here(known, Rig([*RIG.cameras[:1], replace(RIG.cameras[1], camera_from_world=little), *RIG.cameras[2:]], "m"))
 
 
 def test_cameras_that_are_calibrated_anew_make_poses_less_certain(

@@ -14,7 +14,7 @@ from sylpose.app.check import concerns
 from sylpose.app.compiling import compile_all
 from sylpose.app.listeners import STDOUT, listener
 from sylpose.app.results_folder import EARLIER
-from sylpose.app.run import ONE_CAMERA_UNIT, Run, output_path, track_session
+from sylpose.app.run import Run, output_path, track_session, unit_of
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.report.lines import pose_line
@@ -75,7 +75,8 @@ def _track_aloud(
     elif stop is not None:
         frames = len(range(start, stop, max(every, 1)))
     problems: list[str] = []
-    unit = session.rig.unit if len(session.rig) > 1 else ONE_CAMERA_UNIT
+    known = options.get("known") or {}
+    units = {name: unit_of(session.rig, known.get(name)) for name in session.objects}
     with console.status("Loading (the first time after an installation: compiling, one to two minutes) ..."):
         compile_all()
     with (
@@ -91,9 +92,9 @@ def _track_aloud(
         def on_pose(name: str, pose: FramePose) -> None:
             of = name if len(session.objects) > 1 else ""
             if verbose:
-                console.print(text.frame_line(of, pose, session.rig.names, unit), soft_wrap=True)
+                console.print(text.frame_line(of, pose, session.rig.names, units[name]), soft_wrap=True)
             if tell is not None:
-                tell(pose_line(pose, session.rig.names, unit, **({"object": of} if of else {})))
+                tell(pose_line(pose, session.rig.names, units[name], **({"object": of} if of else {})))
 
         def on_resume(done: int) -> None:
             console.print(f"Going on after {done} of {frames} frames.")

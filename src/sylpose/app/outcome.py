@@ -15,7 +15,8 @@ class Run:
     """What `track_session` did.
 
     Attributes:
-        trajectories: of all frames, by object; with one camera their unit is "first distances".
+        trajectories: of all frames, by object; with one camera their unit is "first distances", unless the object's size is
+            known from another take.
         files: that were written.
         problems: sentences about what could not be read.
         seconds: where the time went: "reading", "tracking" (detection, matching, solving), "saving" (checkpoints),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 from sylpose.adjustment.calibration import usual_doubt
@@ -23,7 +22,8 @@ from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
 from sylpose.smoothing.known import tracks_of
 from sylpose.smoothing.trajectory import Track, smooth
-from sylpose.tracking.known_object import KnownObject, calibrated_anew
+from sylpose.tracking.known_here import KnownHere
+from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["MAX_SMOOTHED", "RESULT", "SUFFIXES", "TRACKED", "TRACKS", "ObjectOutput", "Overlay"]
@@ -51,7 +51,7 @@ class ObjectOutput:
         plot_format: what the report's name ends with.
         note: what it is a report of, a line.
         angles: three more in the files, and those of the report.
-        known: the object, if that is known from another take.
+        known: the object before these cameras, if that is known from another take.
         album: pictures of the run, for its page; None for no page.
         resume: of an earlier run, to go on with its files. Nothing of them is cut or removed before there is as much again.
 
@@ -70,7 +70,7 @@ class ObjectOutput:
         plot_format: str = "png",
         note: str = "",
         angles: Angles | None = None,
-        known: KnownObject | None = None,
+        known: KnownHere | None = None,
         album: Album | None = None,
         resume: OutputState | None = None,
     ) -> None:
@@ -152,9 +152,8 @@ class ObjectOutput:
                 tracks, self._rig, doubt=doubt, recalibrate=self._recalibrate, moved=moved, on_round=on_round
             )
             poses = result.poses[len(tracks) - self.n_frames :]
-            if (known := self._known) is not None:
-                anew = calibrated_anew(known, self._rig)
-                poses = tuple(replace(pose, covariance=pose.covariance + anew) for pose in poses)
+            if self._known is not None:
+                poses = tuple(map(self._known.telling.of, poses))
             self._whole = self._of(poses)
             if result.correction is not None:
                 self.files += write_refined(self.folder, result.correction, self._rig.names, result.moved)

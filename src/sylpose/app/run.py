@@ -33,13 +33,12 @@ from sylpose.sync.offsets import find_offsets, retimed
 from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Memory, Tracker
+from sylpose.units import FIRST_DISTANCES
 
-__all__ = ["CHECKPOINT_SECONDS", "ONE_CAMERA_UNIT", "Run", "has_ended", "output_path", "track_session"]
+__all__ = ["CHECKPOINT_SECONDS", "Run", "has_ended", "output_path", "track_session", "unit_of"]
 
 # Of the overlay where a recording does not say its rate, frames per second.
 IMAGE_RATE = 2.0
-# With one camera lengths are relative to the object's distance in the first frame (docs/conventions.md).
-ONE_CAMERA_UNIT = "first distances"
 # Seconds between two checkpoints (choice: what one may lose).
 CHECKPOINT_SECONDS = 20.0
 
@@ -47,6 +46,11 @@ CHECKPOINT_SECONDS = 20.0
 def output_path(session: Session | LiveSession, out: Path | str | None = None) -> Path:
     """Where a run's files go: `sylpose` in the session's folder when nothing else is said."""
     return session.path / "sylpose" if out is None else Path(out)
+
+
+def unit_of(rig: Rig, known: KnownObject | None = None) -> str:
+    """What a run tells lengths in; with one camera only an object of known size tells them in the calibration's unit."""
+    return rig.unit if len(rig) > 1 or (known is not None and known.unit != FIRST_DISTANCES) else FIRST_DISTANCES
 
 
 def has_ended(session: Session | LiveSession, out: Path | str | None = None) -> bool:
@@ -177,7 +181,7 @@ def track_session(
     of: Any = partial(Tracker, workers=workers)
     if distributed is not None:
         of = partial(NodesTracker, mode=distributed)
-    rig = session.rig if len(session.rig) > 1 else Rig(session.rig.cameras, ONE_CAMERA_UNIT)
+    rigs = {name: Rig(session.rig.cameras, unit_of(session.rig, known.get(name))) for name in session.objects}
     if resume and saver is None:
         raise ValueError("a live session cannot be resumed: what was not tracked then is gone")
     with ExitStack() as whole:
@@ -219,17 +223,17 @@ def track_session(
 
         stack = whole.enter_context(ExitStack())
         for name, own in zip(session.objects, results.folders, strict=True):
-            state = None if saver is None else states[name]
+            state, tracker = None if saver is None else states[name], trackers[name]
             outputs[name] = ObjectOutput(
                 own,
-                rig,
+                rigs[name],
                 clock,
                 smooth=smooth,
                 recalibrate=refine_calibration,
                 plot_format=plot_format,
                 angles=about,
                 note=_note(session, name, method, smooth),
-                known=known.get(name),
+                known=tracker.known if isinstance(tracker, Tracker) else None,
                 album=album,
                 resume=state,
             )
@@ -238,7 +242,9 @@ def track_session(
         overlay_path = results.path / (f"overlay_{start + position * every}.mp4" if position else "overlay.mp4")
         if overlay:
             rate = max(session.rate / every, 1.0) if session.rate else IMAGE_RATE
-            drawing = stack.enter_context(closing(Overlay(overlay_path, rig, rate, session.objects, clock)))
+            drawing = stack.enter_context(
+                closing(Overlay(overlay_path, rigs[session.objects[0]], rate, session.objects, clock))
+            )
 
         def take(name: str, decided: list[TrackedFrame]) -> None:
             for tracked in decided:

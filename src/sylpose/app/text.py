@@ -261,7 +261,7 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
     facts.append(("Moved", f"{moved} from the first to the last solved frame, along a path of {path}"))
     one_camera = len(trajectory.camera_names) == 1
     open_scale = sum(f.observable is Observable.NO_SCALE for f in trajectory)
-    if one_camera:
+    if one_camera and open_scale:
         facts.append(("Scale", "not observable with one camera: lengths are in units of the object's first distance"))
     elif open_scale:
         facts.append(("Scale", f"not observable in {open_scale} frames: how far the object moved in them is not known"))
