@@ -6,6 +6,7 @@ length, and has no control characters of the file in it (SECURITY.md).
 
 from __future__ import annotations
 
+import codecs
 import csv
 import os
 import re
@@ -103,7 +104,7 @@ def bytes_of(path: Path, limit: int = MAX_TEXT) -> bytes:
 
 
 def text_of(path: Path, limit: int = MAX_TEXT) -> str:
-    """The content of a text file, UTF-8 with or without its mark.
+    """The content of a text file, UTF-8 with or without its mark; of XML UTF-16 with it, too.
 
     Raises:
         OSError, Unreadable: as `bytes_of`; it is no text, or has a number of more than 308 digits.
@@ -111,7 +112,7 @@ def text_of(path: Path, limit: int = MAX_TEXT) -> str:
     data = bytes_of(path, limit)
     with told(path):
         try:
-            text = data.decode("utf-8-sig")
+            text = data.decode("utf-16" if data.startswith(_UTF16) else "utf-8-sig")
         except UnicodeDecodeError:
             raise ValueError("not text in UTF-8") from None
         if _DIGITS.search(text):
@@ -138,6 +139,7 @@ def resolved(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+_UTF16 = (codecs.BOM_UTF16_LE + b"<\0", codecs.BOM_UTF16_BE + b"\0<")
 # Unicode's classes of control characters, marks that turn the direction of writing, halves of characters, line ends, and
 # what has no meaning.
 _STEERING = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
