@@ -16,7 +16,7 @@ import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 __all__ = [
     "MAX_DEPTH",
@@ -27,6 +27,7 @@ __all__ = [
     "bytes_of",
     "one_line",
     "parsed_toml",
+    "regular_file",
     "resolved",
     "text_of",
     "told",
@@ -92,15 +93,30 @@ def bytes_of(path: Path, limit: int = MAX_TEXT) -> bytes:
         OSError: it is not there or cannot be read.
         Unreadable: it is no file but a pipe, a device or a folder; or larger than `limit` bytes.
     """
-    with told(path):
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise ValueError("a file is expected, not a folder, a pipe or a device")
-        with path.open("rb") as file:
-            data = file.read(limit + 1)
+    with told(path), regular_file(path, limit) as file:
+        data = file.read(limit + 1)
         if len(data) > limit:
-            raise ValueError(f"{max(status.st_size, len(data))} bytes, more than the {limit} that such a file may have")
+            raise ValueError(_too_long(len(data), limit))
         return data
+
+
+def regular_file(path: Path, limit: int) -> BinaryIO:
+    """A file, opened.
+
+    Raises:
+        OSError: as `bytes_of`.
+        ValueError: it is no file, or larger than `limit` bytes. For `told`.
+    """
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise ValueError("a file is expected, not a folder, a pipe or a device")
+    if status.st_size > limit:
+        raise ValueError(_too_long(status.st_size, limit))
+    return path.open("rb")
+
+
+def _too_long(size: int, limit: int) -> str:
+    return f"{size} bytes, more than the {limit} that such a file may have"
 
 
 def text_of(path: Path, limit: int = MAX_TEXT) -> str:

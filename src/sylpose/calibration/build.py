@@ -22,6 +22,7 @@ __all__ = [
     "convert",
     "from_opengl",
     "lens_named",
+    "lens_terms",
     "make_camera",
     "make_pose",
     "make_rig",
@@ -45,6 +46,8 @@ LENSES: dict[str, LensModel] = {
     **dict.fromkeys(("brown", "brown_conrady", "rational", "rational_polynomial", "thin_prism", "tilted"), "opencv"),
     **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), "fisheye"),
 }
+# Of OpenCV's standard model, in order.
+TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
 # A camera that looks along -z with y up (OpenGL, Blender, OptiTrack, Qualisys): its axes turned to ours.
 from_opengl = RigidTransform.from_rotation(Rotation.from_quat([1.0, 0.0, 0.0, 0.0]))
 
@@ -211,6 +214,21 @@ def attribute(element: Element | None, name: str, where: str, n: int = 1) -> Flo
     if element is None or (value := element.get(name)) is None:
         raise ValueError(f"{where}: missing {name!r}")
     return numbers(value, n, f"{where}: {name}")
+
+
+def lens_terms(camera: Camera, n: int, model: str) -> FloatArray:
+    """(n,) the first n of a camera's terms of OpenCV's standard lens, of which a format's model has no more.
+
+    Raises:
+        ValueError: naming the camera and the terms that it has and the model has not; for a fisheye lens.
+    """
+    if camera.lens == "fisheye":
+        raise ValueError(f"camera {camera.name}: {model} does not have its lens, OpenCV's fisheye")
+    terms = np.zeros(len(TERMS))
+    terms[: len(camera.distortion)] = camera.distortion
+    if more := [TERMS[i] for i in range(n, len(TERMS)) if terms[i]]:
+        raise ValueError(f"camera {camera.name}: {model} does not have the terms {', '.join(more)} of its lens")
+    return terms[:n]
 
 
 def sizes_of(path: Path, names: Sequence[str], sizes: Sizes | None) -> dict[str, tuple[int, int]]:

@@ -60,8 +60,9 @@ def load(path: str | os.PathLike[str], sizes: Sizes | None = None) -> Rig:
     """
     path = Path(path)
     with told(path):
-        format_, data = told_format(path)
-        return format_.rig(data, path, sizes)
+        format_, file, data = told_format(path)
+        with told(file):
+            return format_.rig(data, file, sizes)
 
 
 def format_of(path: str | os.PathLike[str]) -> str:
@@ -72,7 +73,7 @@ def format_of(path: str | os.PathLike[str]) -> str:
     """
     path = Path(path)
     with told(path):
-        return told_format(path)[0].name
+        return told_format(path).format_.name
 
 
 def save(rig: Rig, path: str | os.PathLike[str]) -> None:
