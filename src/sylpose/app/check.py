@@ -13,12 +13,11 @@ from sylpose.app.following import Follows, box_outlines, what_moves
 from sylpose.app.notes import notes
 from sylpose.app.opening import check_out
 from sylpose.app.text import length
-from sylpose.calibration import anipose, caliscope
+from sylpose.calibration import format_of
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.files import output_folder
 from sylpose.numerics.arrays import FloatArray
-from sylpose.reading import parsed_toml, text_of
 from sylpose.report.following import draw_followed
 from sylpose.report.rigview import describe_rig, meeting_point, plot_rig
 from sylpose.rig import Rig
@@ -27,7 +26,6 @@ from sylpose.tracking.region import volume_from_boxes
 __all__ = [
     "Place",
     "axes_miss",
-    "calibration_format",
     "check_aloud",
     "concerns",
     "facts",
@@ -135,7 +133,7 @@ def facts(session: Session, places: Mapping[str, Place]) -> list[tuple[str, str]
     calibration = session.calibration
     inside = calibration.parent.resolve() == session.path.resolve()
     name = calibration.name if inside else str(calibration)
-    words = [("Calibration", f"{name}, {calibration_format(calibration)}, length unit {unit}")]
+    words = [("Calibration", f"{name}, {format_of(calibration)}, length unit {unit}")]
     kinds = {"video": "videos", "images": "folders of images"}
     words.append(("Recorded", " and ".join(sorted({kinds[source.kind] for source in session.sources}))))
     stamps = np.isfinite(session.timeline.stamps).any()
@@ -288,16 +286,3 @@ def _boxes(session: Session | LiveSession, place: Place) -> list[str]:
     if late:
         found.append(f"{', '.join(late)}: a box for the first frame, in which this camera has no image.")
     return found
-
-
-def calibration_format(path: Path) -> str:
-    """The format of a calibration that `calibration.load` has read, in words."""
-    try:
-        data = parsed_toml(text_of(path))
-    except ValueError:
-        return "OpenCV FileStorage"
-    if "format" in data:
-        return "sylpose TOML"
-    if caliscope.is_caliscope(data):
-        return "Caliscope TOML"
-    return "Anipose TOML" if anipose.is_anipose(data) else "TOML"

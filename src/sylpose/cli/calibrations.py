@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -28,6 +30,13 @@ def convert(
     is_in: Annotated[
         str | None, typer.Option(metavar="|".join(METRES), help="The unit of IN, which does not say it itself.")
     ] = None,
+    size: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[CAM=]WIDTHxHEIGHT",
+            help="How large images are, where IN does not say it: of all cameras, or of one; may be given several times.",
+        ),
+    ] = None,
 ) -> None:
     """Write a calibration in another format.
 
@@ -37,7 +46,7 @@ def convert(
     from sylpose import calibration
     from sylpose.rig import Rig
 
-    rig = calibration.load(source)
+    rig = calibration.load(source, _sizes(size or []))
     if is_in is not None:
         if rig.unit not in ("", is_in):
             raise ValueError(f"--is-in {is_in}: {source} says itself that it is in {rig.unit}")
@@ -47,3 +56,19 @@ def convert(
     rig = rig if unit is None else rig.in_unit(unit)
     calibration.save(rig, target)
     print(f"{target}: {len(rig)} cameras ({', '.join(rig.names)})")
+
+
+def _sizes(given: Sequence[str]) -> Callable[[Sequence[str]], dict[str, tuple[int, int]]]:
+    """What tells the sizes of the cameras' images, from the words of `--size`."""
+    of_all: tuple[int, int] | None = None
+    own: dict[str, tuple[int, int]] = {}
+    for text in given:
+        name, _, words = text.rpartition("=")
+        match = re.fullmatch(r"([0-9]{1,6})x([0-9]{1,6})", words)
+        if match is None:
+            raise ValueError(f"--size: WIDTHxHEIGHT or CAM=WIDTHxHEIGHT is expected, such as 1280x720, got {text!r}")
+        if name:
+            own[name] = int(match[1]), int(match[2])
+        else:
+            of_all = int(match[1]), int(match[2])
+    return lambda names: {name: size for name in names if (size := own.get(name, of_all)) is not None}
