@@ -11,7 +11,7 @@ from typing import Any
 
 from sylpose.app import text
 from sylpose.app.check import concerns
-from sylpose.app.compiling import compile_all
+from sylpose.app.compiling import compile_aloud
 from sylpose.app.listeners import STDOUT, listener
 from sylpose.app.results_folder import EARLIER
 from sylpose.app.run import ONE_CAMERA_UNIT, Run, output_path, track_session
@@ -76,8 +76,7 @@ def _track_aloud(
         frames = len(range(start, stop, max(every, 1)))
     problems: list[str] = []
     unit = session.rig.unit if len(session.rig) > 1 else ONE_CAMERA_UNIT
-    with console.status("Loading (the first time after an installation: compiling, one to two minutes) ..."):
-        compile_all()
+    compile_aloud(console)
     with (
         text.TrackingProgress(len(session.rig), frames, len(session.objects), quiet=quiet) as progress,
         _interrupts(session) as asked,
