@@ -22,10 +22,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.adjustment.bundle import Observations, bundle
 from sylpose.app.machine import cores
 from sylpose.app.text import make_console
-from sylpose.features import klt
+from sylpose.features import backdrop, klt
+from sylpose.features.sift import Features
 from sylpose.landmarks.alignment import Sights, align
+from sylpose.landmarks.places import new_landmarks, seen_again
 from sylpose.numerics.cache_folders import CHOSEN, place_of
 from sylpose.numerics.kernel_cache import announced, folder_of, is_kept
+from sylpose.numerics.matrices import covariance_of
 from sylpose.simulate import ring
 from sylpose.two_frames import robust_fit
 from sylpose.two_frames.warming import warm_up, warm_up_reweighting, warm_up_search, warm_up_verdicts
@@ -37,6 +40,7 @@ def following() -> None:
     """Features from image to image."""
     image = np.random.default_rng(0).integers(0, 255, (120, 160), np.uint8)
     klt.advance(klt.begin(image, [[60.0, 60.0], [80.0, 50.0]]), image, image)
+    backdrop.begin(image)
 
 
 def landmarks() -> None:
@@ -56,6 +60,13 @@ def landmarks() -> None:
         for camera in rig
     ]
     align(sights, np.eye(3), np.zeros(3))
+    covariance_of(np.eye(6))
+    camera, n = rig["cam_0"], len(points)
+    pixels = camera.project(points)
+    features = Features(pixels, camera.normalize(pixels), np.zeros((n, 128), np.float32))
+    known = new_landmarks(features, camera, RigidTransform.identity(), np.ones(n), np.full(n, 0.1))
+    known = seen_again(known, features, camera, RigidTransform.identity())
+    known.depth_error  # noqa: B018 a property, which is computed
 
 
 def refining() -> None:
