@@ -11,7 +11,7 @@ from typing import Any
 
 from sylpose.app import text
 from sylpose.app.check import concerns
-from sylpose.app.compiling import compile_all
+from sylpose.app.compiling import compile_aloud
 from sylpose.app.listeners import STDOUT, listener
 from sylpose.app.results_folder import EARLIER
 from sylpose.app.run import Run, output_path, track_session, unit_of
@@ -77,8 +77,7 @@ def _track_aloud(
     problems: list[str] = []
     known = options.get("known") or {}
     units = {name: unit_of(session.rig, known.get(name)) for name in session.objects}
-    with console.status("Loading (the first time after an installation: compiling, one to two minutes) ..."):
-        compile_all()
+    compile_aloud(console)
     with (
         text.TrackingProgress(len(session.rig), frames, len(session.objects), quiet=quiet) as progress,
         _interrupts(session) as asked,
