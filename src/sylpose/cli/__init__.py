@@ -1,4 +1,4 @@
-"""The command line: `sylpose track`, `batch`, `check`, `sync`, `view`, `demo`, `experiments`, `node`, `nodes`,
+"""The command line: `sylpose track`, `batch`, `check`, `box`, `sync`, `view`, `demo`, `experiments`, `node`, `nodes`,
 `network` and `calibration`.
 
 Everything but the options is imported where it is used: the tracker and matplotlib take a second each, which `--help` does
