@@ -25,7 +25,7 @@ from sylpose.rig import Rig
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.known_object import FEWEST, CameraMemory, KnownObject, check_rig
 
-__all__ = ["CLOUD", "OBJECT", "checksum_of", "known_objects", "load_object", "save_object", "write_cloud"]
+__all__ = ["CLOUD", "DRAWN", "OBJECT", "checksum_of", "known_objects", "load_object", "save_object", "write_cloud"]
 
 OBJECT, CLOUD = "object.npz", "object.ply"
 FORMAT = "sylpose object 1"
