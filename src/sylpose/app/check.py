@@ -10,7 +10,7 @@ import numpy as np
 
 from sylpose.app import text
 from sylpose.app.following import Follows, box_outlines, what_moves
-from sylpose.app.notes import notes
+from sylpose.app.notes import boxes_by, notes
 from sylpose.app.opening import check_out
 from sylpose.app.text import length
 from sylpose.calibration import anipose, caliscope
@@ -100,7 +100,7 @@ def check_aloud(session: Session, out: Path | None) -> None:
     found = [*warnings(session, places), *(followed.wrong if followed is not None else ())]
     text.print_warnings(console, found)
     if wrong:
-        raise ValueError("; ".join(wrong))
+        raise ValueError(f"{'; '.join(wrong)} ({boxes_by(session)} anew)")
     missed = axes_miss(session.rig)
     if found:
         console.print("Can be tracked; see the warnings above.")

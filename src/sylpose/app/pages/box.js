@@ -471,6 +471,8 @@ function build(camera, k) {
 async function save() {
   $("save").disabled = true;
   try {
+    // With the boxes the command ends, and answers nothing more.
+    while (asking) await new Promise((done) => setTimeout(done, 20));
     const { file, next } = await ask("boxes", { method: "POST", body: JSON.stringify(boxes) });
     written = JSON.stringify(boxes);
     $("file").textContent = `The boxes are in ${file}.`;
