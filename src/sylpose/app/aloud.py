@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from sylpose.app import text
-from sylpose.app.check import concerns
+from sylpose.app.check import concerns, object_place, obstacles
 from sylpose.app.compiling import compile_aloud
 from sylpose.app.listeners import STDOUT, listener
+from sylpose.app.notes import boxes_by
 from sylpose.app.results_folder import EARLIER
 from sylpose.app.run import Run, output_path, track_session, unit_of
 from sylpose.capture import Session
@@ -63,6 +64,10 @@ def _track_aloud(
 ) -> Run:
     console = text.make_console(stderr=to_stdout, quiet=quiet)
     warned = text.make_console(stderr=True) if quiet else console
+    known = options.get("known") or {}  # boxes of those are not used
+    places = {name: object_place(session.of(name)) for name in session.objects if name not in known}
+    if wrong := obstacles(places):
+        raise ValueError(f"{'; '.join(wrong)} ({boxes_by(session)} anew)")
     console.print(text.headline(session))
     start, stop, every = options.get("start", 0), options.get("stop"), options.get("every", 1)
     text.print_warnings(warned, concerns(session, start))
@@ -75,7 +80,6 @@ def _track_aloud(
     elif stop is not None:
         frames = len(range(start, stop, max(every, 1)))
     problems: list[str] = []
-    known = options.get("known") or {}
     units = {name: unit_of(session.rig, known.get(name)) for name in session.objects}
     compile_aloud(console)
     with (
@@ -172,7 +176,8 @@ def why_nothing(session: Session | LiveSession, run: Run) -> list[str]:
             sentence = f"{prefix}no frame could be solved. {max(statuses, key=statuses.count).text}"
             if not session.of(name).boxes and session.masks is None:
                 sentence += (
-                    " Boxes of the object in the first frame (--boxes) or masks (--masks) would help to find it."
+                    f" Boxes of the object in the first frame ({boxes_by(session)}) or masks (--masks) would help to find "
+                    "it."
                 )
             said.append(sentence)
     return said

@@ -10,7 +10,7 @@ import numpy as np
 
 from sylpose.app import text
 from sylpose.app.following import Follows, box_outlines, what_moves
-from sylpose.app.notes import notes
+from sylpose.app.notes import boxes_by, notes
 from sylpose.app.opening import check_out
 from sylpose.app.text import length
 from sylpose.calibration import format_of
@@ -98,7 +98,7 @@ def check_aloud(session: Session, out: Path | None) -> None:
     found = [*warnings(session, places), *(followed.wrong if followed is not None else ())]
     text.print_warnings(console, found)
     if wrong:
-        raise ValueError("; ".join(wrong))
+        raise ValueError(f"{'; '.join(wrong)} ({boxes_by(session)} anew)")
     missed = axes_miss(session.rig)
     if found:
         console.print("Can be tracked; see the warnings above.")
@@ -179,7 +179,7 @@ def concerns(session: Session | LiveSession, start: int = 0) -> list[str]:
 def warnings(session: Session | LiveSession, places: Mapping[str, Place], start: int = 0) -> list[str]:
     """All that looks wrong but can be worked with, or at least tried, from frame `start` on; `places` by object."""
     of_objects = {
-        name: [*look_at(session.rig, place), *_boxes(session.of(name), place)] for name, place in places.items()
+        name: [*look_at(session.rig, place), *_boxes(session.of(name), place, start)] for name, place in places.items()
     }
     # What is wrong with the rig is so for all of them.
     common = [said for said in next(iter(of_objects.values())) if all(said in own for own in of_objects.values())]
@@ -264,7 +264,7 @@ def _sees(rig: Rig, name: str, point: FloatArray) -> bool:
     return bool(np.isfinite(pixel).all() and (pixel >= 0).all() and (pixel <= np.array(rig[name].size) - 1).all())
 
 
-def _boxes(session: Session | LiveSession, place: Place) -> list[str]:
+def _boxes(session: Session | LiveSession, place: Place, start: int) -> list[str]:
     boxes, found = session.boxes, []
     if len(boxes) == 1 and len(session.rig) > 1:
         found.append(
@@ -281,7 +281,7 @@ def _boxes(session: Session | LiveSession, place: Place) -> list[str]:
                 )
     if isinstance(session, LiveSession):
         return found
-    first = session.timeline.frames[0]
+    first = session.timeline.frames[min(start, session.n_frames - 1)]
     late = [name for name, frame in zip(session.rig.names, first, strict=True) if name in boxes and frame < 0]
     if late:
         found.append(f"{', '.join(late)}: a box for the first frame, in which this camera has no image.")

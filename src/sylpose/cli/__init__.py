@@ -1,5 +1,5 @@
-"""The command line: `sylpose track`, `batch`, `check`, `sync`, `view`, `demo`, `experiments`, `node`, `nodes`,
-`network`, `calibration` and `doctor`.
+"""The command line: `sylpose track`, `batch`, `check`, `box`, `sync`, `view`, `report`, `demo`, `experiments`, `node`,
+`nodes`, `network`, `calibration` and `doctor`.
 
 Everything but the options is imported where it is used: the tracker and matplotlib take a second each, which `--help` does
 not need.
