@@ -13,7 +13,19 @@ from scipy.spatial.transform import Rotation
 from sylpose.numerics.arrays import FloatArray
 from sylpose.reading import SENTENCE, one_line
 
-__all__ = ["Telling", "Told", "inliers_told", "length", "lengths", "named", "spread", "turned", "vector"]
+__all__ = [
+    "Telling",
+    "Told",
+    "inliers_told",
+    "length",
+    "lengths",
+    "named",
+    "place_told",
+    "proof_told",
+    "spread",
+    "turned",
+    "vector",
+]
 
 # So many digits of a number are for people, and so many of a standard deviation (choice).
 DIGITS, SD_DIGITS = 3, 2
@@ -95,7 +107,12 @@ def spread(values: FloatArray, sigma: FloatArray) -> str:
 
 def vector(values: FloatArray, digits: int = 2) -> str:
     """Numbers in parentheses, so many digits behind the point."""
-    return f"({', '.join('unknown' if not math.isfinite(v) else f'{v:.{digits}f}' for v in values.tolist())})"
+    return f"({', '.join('unknown' if not math.isfinite(v) else f'{round(v, digits) + 0.0:.{digits}f}' for v in values.tolist())})"
+
+
+def place_told(place: FloatArray) -> str:
+    """A place in the calibration's unit, to a thousandth of how far away it is."""
+    return vector(place, _decimals(_largest(place), DIGITS + 1))
 
 
 def turned(rotation: Rotation, covariance: FloatArray | None = None) -> str:
@@ -113,6 +130,12 @@ def turned(rotation: Rotation, covariance: FloatArray | None = None) -> str:
 def inliers_told(inliers: int, matches: int, residual: float) -> str:
     """Of one camera, with the residual in pixels."""
     return f"{inliers} of {matches} matches" + (f", residual {residual:.2f} px" if math.isfinite(residual) else "")
+
+
+def proof_told(certified: bool, candidates: int = 1) -> tuple[str, str]:
+    """A row that says whether a rotation is proved to be the best one, and how many others were found."""
+    others = f", one of {candidates} minima" if candidates > 1 else ""
+    return "optimum", ("proved to be the global one" if certified else f"not proved to be the global one{others}")
 
 
 def _largest(values: FloatArray) -> float:

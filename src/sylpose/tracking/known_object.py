@@ -12,6 +12,7 @@ from sylpose.landmarks.places import Landmarks
 from sylpose.landmarks.table import LandmarkTable
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.rig import Rig
+from sylpose.told import Telling, Told, length, named
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.find import WAIT_FOR_MORE
 from sylpose.tracking.frame import CameraFrame, SolvedFrame
@@ -47,8 +48,8 @@ class CameraMemory:
         return self.landmarks.subset(np.searchsorted(self.landmarks.id, self.numbers[keyframe]))
 
 
-@dataclass(frozen=True, eq=False)
-class KnownObject:
+@dataclass(frozen=True, eq=False, repr=False)
+class KnownObject(Told):
     """An object as a take has learnt it (object.npz, `load_object`), for another one to begin with.
 
     Attributes:
@@ -73,6 +74,13 @@ class KnownObject:
     def places(self) -> FloatArray:
         """(n, 3) of its landmarks, of all cameras, object's frame."""
         return np.concatenate([memory.landmarks.mean for memory in self._cameras.values()])
+
+    def _told(self) -> Telling:
+        brief = (
+            f"radius {length(self.radius, self.unit)}, {len(self.places)} landmarks, {len(self._keyframes)} keyframes"
+        )
+        cameras = [(name, f"{len(memory.landmarks.mean)} landmarks") for name, memory in self._cameras.items()]
+        return Telling(brief, named(cameras))
 
 
 def learnt_of(rig: Rig, joint: Joint, parts: Sequence[CameraPart]) -> KnownObject | None:

@@ -125,7 +125,9 @@ def estimate_motion(
     fit, g, size = solved
     if method in ESTIMATORS and fit.status is Status.OK:
         fit = paper_fit(method, data, fit, g, rig.names)
-    return _motion(rig, matches, data, fit, g, method, size, units.per_px, share)
+    # One camera alone does not tell how far away the object is, unless somebody says so.
+    unit = rig.unit if given is not None or len(data) > 1 else ""
+    return _motion(rig, matches, data, fit, g, method, size, units.per_px, share, unit)
 
 
 def estimate_motions(
@@ -184,6 +186,7 @@ def _motion(
     radius: float,
     per_px: FloatArray,
     second: float = 0.0,
+    unit: str = "",
 ) -> Motion:
     """The public result of a fit, with what cannot be observed said."""
     inliers = [np.zeros(len(m), bool) for m in matches]
@@ -215,7 +218,7 @@ def _motion(
         second=second,
         standing=fit.standing,
         camera_names=rig.names,
-        unit=rig.unit,
+        unit=unit,
     )
 
 
