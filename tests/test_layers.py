@@ -27,6 +27,7 @@ ALLOWED: dict[str, set[str]] = {
     **dict.fromkeys(PARTS, NOUNS),
     "two_frames": NOUNS | {"paper"},
     "landmarks": NOUNS | {"features"},
+    "boards": NOUNS | {"known_model"},
     "adjustment": NOUNS | {"features", "known_model", "landmarks"},
     "tracking": NOUNS | PARTS | {"two_frames", "landmarks", "adjustment"},
     "smoothing": NOUNS | PARTS | {"two_frames", "landmarks", "adjustment", "tracking"},
@@ -42,7 +43,7 @@ ALLOWED: dict[str, set[str]] = {
     "archive": {""} | NOUNS | {"calibration", "capture", "sync", "report", "simulate", "app"},
 }
 # Where images are worked on, or read and written.
-SEES_IMAGES = {"rig", "features", "tracking.region", "sync", "calibration", "capture", "report", "simulate"}
+SEES_IMAGES = {"rig", "features", "boards", "tracking.region", "sync", "calibration", "capture", "report", "simulate"}
 
 
 @cache
