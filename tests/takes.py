@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.boards.specification import Board
 from sylpose.results import FramePose
 from sylpose.rig import Rig
-from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
+from sylpose.simulate import Actor, Recording, Scene, TexturedBody, arc, chamfered_box, write_recording
+from tests.boards.drawn import picture
 
-__all__ = ["BOX", "FIRST", "NEXT", "RIG", "Path_", "elsewhere", "errors", "learning", "recorded", "slide"]
+__all__ = ["BOX", "FIRST", "NEXT", "RIG", "Path_", "elsewhere", "errors", "learning", "marked", "recorded", "slide"]
 
 Path_ = Callable[[float], RigidTransform]
 RIG = arc(4, 35, 1.5, 500, (480, 360), height=0.4)
@@ -51,3 +55,21 @@ def errors(pose: FramePose, true: RigidTransform) -> np.ndarray:
     assert pose.world_from_object is not None
     turn = (pose.world_from_object.rotation * true.rotation.inv()).as_rotvec()
     return np.concatenate([turn, pose.world_from_object.translation - true.translation])
+
+
+def marked(body: TexturedBody, board: Board, body_from_board: RigidTransform) -> TexturedBody:
+    """A body with a target glued to a face of it."""
+    sheet, texels, low = picture(board)
+    sheet = np.asarray(cv2.GaussianBlur(sheet, (0, 0), 2.0), np.uint8)
+    textures = [texture.copy() for texture in body.textures]
+    for texture, plane, normal in zip(textures, body.plane_from_texture, body.normals, strict=True):
+        if normal @ body_from_board.rotation.apply([0.0, 0.0, 1.0]) < 0.999:
+            continue
+        v, u = np.mgrid[: texture.shape[0], : texture.shape[1]]
+        places = np.stack([u, v, np.ones_like(u)], axis=-1).reshape(-1, 3) @ plane.T
+        x, y, _ = body_from_board.inv().apply(places).T
+        column, row = (x - low[0]) * texels - 0.5, sheet.shape[0] - (y - low[1]) * texels - 0.5
+        on = (column >= 0) & (column <= sheet.shape[1] - 1) & (row >= 0) & (row <= sheet.shape[0] - 1)
+        at = np.flatnonzero(on)
+        texture.reshape(-1, 3)[at] = sheet[row[at].round().astype(int), column[at].round().astype(int)][:, None]
+    return replace(body, textures=tuple(textures))

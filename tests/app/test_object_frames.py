@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,15 +15,18 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.app.object_files import CLOUD, OBJECT, load_object, save_object
 from sylpose.app.objects import retold
+from sylpose.app.record import USED
 from sylpose.app.run import track_session
+from sylpose.boards.specification import parse_board
 from sylpose.capture import open_session
 from sylpose.cli import main
-from sylpose.report.files import read_trajectory
-from sylpose.results import FramePose, FrameStatus, Observable
+from sylpose.report.files import read_trajectory, write_trajectory
+from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 from sylpose.rig import Rig
+from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
 from sylpose.tracking.known_object import KnownObject
 from sylpose.units import FIRST_DISTANCES
-from tests.takes import BOX, NEXT, RIG, elsewhere, errors, learning, recorded
+from tests.takes import BOX, NEXT, RIG, elsewhere, errors, learning, marked, recorded, slide
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -31,7 +35,9 @@ NEW_FROM_OBJECT = RigidTransform.from_components([0.5, -0.3, 0.2], Rotation.from
 CORNERS = np.array([[-1, -1, 1], [1, -1, 1], [-1, 1, 1]]) * np.array(BOX) / 2
 
 
-def seen_at(point: np.ndarray, frame: int, cameras: Sequence[str], off: Sequence[float] = (0.0, 0.0)) -> str:
+def seen_at(
+    point: np.ndarray, frame: int, cameras: Sequence[str], off: Sequence[float] | np.ndarray = (0.0, 0.0)
+) -> str:
     """A point of the actor as somebody would click on it."""
     place = learning(frame).apply(point)
     pixels = {name: RIG[name].project(place)[0] + off for name in cameras}
@@ -210,6 +216,89 @@ def test_what_is_in_a_file_is_shown(first: Path, capsys: pytest.CaptureFixture[s
         assert words in said
 
 
+# --- what is on it ------------------------------------------------------------------------------------------------------
+
+MARKER = "apriltag:36h11,id=5,size=90mm"
+# In the middle of the face that looks at the cameras.
+ACTOR_FROM_BOARD = RigidTransform.from_components(
+    [0.02, -0.01, -BOX[2] / 2], Rotation.from_matrix([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
+)
+
+
+@pytest.fixture(scope="module")
+def with_marker(
+    tmp_path_factory: pytest.TempPathFactory, first: Path, known: KnownObject, actor_from_object: RigidTransform
+) -> Path:
+    """A recording of the object with a marker on it, and a result of it that is as good as the truth."""
+    folder = tmp_path_factory.mktemp("marked") / "take"
+    body = marked(chamfered_box(BOX, 600), parse_board(MARKER, "m"), ACTOR_FROM_BOARD)
+    write_recording(Recording(Scene(RIG, (Actor(body, elsewhere),), 6, 3)), folder)
+    some = np.ones(4, np.int64), np.full(4, 0.2)
+    poses = [
+        FramePose(
+            k, k / 30, FrameStatus.TRACKED, elsewhere(k) * actor_from_object, np.diag([1e-6] * 3 + [1e-7] * 3), *some
+        )
+        for k in range(6)
+    ]
+    write_trajectory(folder / "sylpose", Trajectory(poses, RIG.names, "m"))
+    save_object(known, folder / "sylpose" / OBJECT)
+    shutil.copy(first / "sylpose" / USED, folder / "sylpose")
+    return folder
+
+
+def test_a_marker_on_it_is_its_frame(
+    with_marker: Path, known: KnownObject, actor_from_object: RigidTransform, tmp_path: Path
+) -> None:
+    asked = ["--board", MARKER, "--recording", str(with_marker)]
+    new = frame_of(with_marker, tmp_path, *asked)
+    off = (ACTOR_FROM_BOARD.inv() * actor_from_new(known, new, actor_from_object)).inv()
+    wrong = np.concatenate([off.rotation.as_rotvec(), off.translation])
+    assert np.degrees(np.linalg.norm(wrong[:3])) < 1.0
+    assert np.linalg.norm(wrong[3:]) < 0.002
+    assert (np.abs(wrong) < 4 * new.frame.sd).all()
+    assert np.degrees(new.frame.sd[:3]).max() < 2.0
+    assert MARKER in new.frame.said
+
+
+@pytest.mark.parametrize(
+    ("board", "words"),
+    [
+        ("apriltag:36h11,id=6,size=90mm", "of 6 frames of .* it was not seen in any"),
+        ("apriltag:36h11,id=5", "size is missing"),
+        ("chessboard:8x6,square=20mm", "it looks the same after a turn"),
+        ("paper", "is no board or marker"),
+    ],
+)
+def test_boards_that_tell_no_frame(
+    board: str, words: str, with_marker: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = str(with_marker / "sylpose" / OBJECT)
+    asked = ["object", "frame", file, str(tmp_path / "tool.npz"), "--board", board, "--recording", str(with_marker)]
+    assert main(asked) == 2
+    err = capsys.readouterr().err
+    assert re.search(words, err)
+    assert err.count("\n") == 1
+
+
+def test_a_board_that_goes_its_own_way_is_no_part_of_it(
+    with_marker: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By poses of something else."""
+    take = Path(shutil.copytree(with_marker, tmp_path / "take"))
+    poses = [
+        replace(
+            pose,
+            world_from_object=slide(5 * pose.index) * RigidTransform.from_rotation(Rotation.from_rotvec([0, k, 0])),
+        )
+        for k, pose in enumerate(read_trajectory(take / "sylpose" / "trajectory.csv"))
+    ]
+    write_trajectory(take / "sylpose", Trajectory(poses, RIG.names, "m"))
+    file = str(take / "sylpose" / OBJECT)
+    asked = ["object", "frame", file, str(tmp_path / "tool.npz"), "--board", MARKER, "--recording", str(take)]
+    assert main(asked) == 2
+    assert "no part of it, or hardly seen" in capsys.readouterr().err
+
+
 # --- size ---------------------------------------------------------------------------------------------------------------
 
 
@@ -321,8 +410,11 @@ def test_a_finished_result_is_told_in_another_frame(
         ([], "nothing says which frame"),
         (["--x", "0,0,0"], "nothing says which frame"),
         (["--xy", "0,0,0", "--x", "1,0,0"], "--xy: three points are"),
-        (["--extent", "--turn", "0,0,1"], "--extent and --turn exclude each other"),
-        (["--extent", "--origin", "0,0,0"], "--extent and --origin or --x exclude each other"),
+        (["--extent", "--turn", "0,0,1"], "--extent and --turn: these do not go together"),
+        (["--extent", "--origin", "0,0,0"], "--extent and --origin: these do not go together"),
+        (["--origin", "0,0,0", "--x", "1,0,0"], "--x: these do not go together"),
+        (["--turn", "0,0,1", "--x", "1,0,0"], "--turn and --x: these do not go together"),
+        (["--board", "apriltag:36h11,id=3,size=8"], "--board and --recording"),
         (["--turn", "0,0"], "--turn: three angles in degrees"),
         (["--turn", "0,0,nan"], "--turn: three angles in degrees"),
         (["--origin", "0,0"], '--origin "0,0": 3 numbers with commas'),

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import calibration
 from sylpose.app import text
+from sylpose.app.object_boards import board_frame
 from sylpose.app.object_files import CLOUD, OBJECT, load_object, save_object, write_cloud
-from sylpose.app.picks import KNOWN_DEPTH, Picked, Result, known_well, picked, result_of
+from sylpose.app.object_frames import (
+    Points,
+    extent_frame,
+    moved_frame,
+    one_of_draws,
+    plane_frame,
+    points_frame,
+)
+from sylpose.app.picks import KNOWN_DEPTH, Picked, known_well, result_of
 from sylpose.app.record import SETTINGS, USED
 from sylpose.files import output_folder
-from sylpose.known_model.axes import by_extent, by_plane, by_points, drawn_sd, on_plane, plane_of
 from sylpose.numerics.arrays import FloatArray
 from sylpose.reading import told
 from sylpose.report.files import write_trajectory
@@ -26,23 +32,12 @@ from sylpose.results import FramePose, Trajectory
 from sylpose.tracking.known_object import KnownObject
 from sylpose.units import FIRST_DISTANCES
 
-__all__ = ["LARGEST", "apply_aloud", "frame_aloud", "scale_aloud", "show_aloud"]
+__all__ = ["apply_aloud", "frame_aloud", "scale_aloud", "show_aloud"]
 
-LARGEST = "largest"
-# Landmarks within this share of the object's radius from a picked point are on the plane that is meant (choice).
-AROUND = 0.3
 # Axes less certain than this, radians, are said to be (choice).
 HARDLY = np.radians(5.0)
 # Draws that tell how uncertain a distance is (choice).
 DRAWS = 200
-
-
-class Found(NamedTuple):
-    """A frame that was found: the transform to it, its standard deviations (6,), and how."""
-
-    new_from_object: RigidTransform
-    sd: FloatArray
-    said: str
 
 
 # --- show ------------------------------------------------------------------------------------------------------------
@@ -115,6 +110,8 @@ def frame_aloud(
     plane: Sequence[str] = (),
     extent: bool = False,
     turn: str | None = None,
+    board: str | None = None,
+    recording: Path | None = None,
     result: Path | None = None,
 ) -> None:
     """Sets the frame of an object, writes it as another file, and says how certain it is.
@@ -124,34 +121,39 @@ def frame_aloud(
         plane: "largest", or points on it.
         extent: by the directions in which it extends.
         turn: "X,Y,Z" degrees about the present axes, in this order.
+        board: that is on it, in a recording (`boards.specification.parse_board`).
         result: folder of a run that has seen it, for points that are pixels; None: where the object lies.
 
     Raises:
         FileNotFoundError, ValueError, OSError: files; options that do not go together; points that tell no frame.
     """
     known = load_object(source)
-    asked = [
-        name for name, given in (("--xy", xy), ("--plane", plane), ("--extent", extent), ("--turn", turn)) if given
-    ]
-    if len(asked) > 1 or (asked == ["--extent"] and (origin or x)) or (asked == ["--turn"] and x):
+    ways = {"--xy": xy, "--plane": plane, "--extent": extent, "--turn": turn, "--board": board}
+    asked = [name for name, given in ways.items() if given]
+    points = {name for name, given in (("--origin", origin), ("--x", x)) if given}
+    # With each way, the points that there may be.
+    allowed = {"": {"--origin"}, "--xy": {"--origin", "--x"}, "--plane": {"--origin", "--x"}, "--turn": {"--origin"}}
+    if not asked and "--origin" not in points:
         raise ValueError(
-            f"{' and '.join([*asked, *(['--origin or --x'] if len(asked) < 2 else [])])} exclude each other"
+            "nothing says which frame: --origin, --x and --xy (three points), --plane, --extent, --board, --turn or --origin"
         )
-    if not asked and (origin is None or x):
-        raise ValueError(
-            "nothing says which frame: --origin, --x and --xy (three points), --plane, --extent, --turn, or --origin alone"
-        )
-    if asked == ["--xy"] and (origin is None or x is None):
+    if more := [*asked[1:], *sorted(points - allowed.get("".join(asked[:1]), set()))]:
+        raise ValueError(f"{' and '.join([*asked[:1], *more])}: these do not go together")
+    if (board is None) != (recording is None):
+        raise ValueError("--board and --recording: what is on the object, and a recording in which it is seen")
+    if xy and len(points) < 2:
         raise ValueError("--xy: three points are --origin, --x and --xy")
-    points = _Points(known, source, result)
-    if plane:
-        found = _by_plane(points, plane, origin, x)
+    picks = Points(known, source, result)
+    if board is not None and recording is not None:
+        found = board_frame(picks.result, recording, board)
+    elif plane:
+        found = plane_frame(picks, plane, origin, x)
     elif extent:
-        found = _by_extent(known)
+        found = extent_frame(known)
     elif xy and x and origin:
-        found = _by_points(points, origin, x, xy)
+        found = points_frame(picks, origin, x, xy)
     else:
-        found = _moved(points, origin, turn)
+        found = moved_frame(picks, origin, turn)
     with told(target):
         new = known.in_frame(*found)
     write_object(new, target)
@@ -173,105 +175,6 @@ def write_object(known: KnownObject, target: Path) -> None:
     output_folder(target.parent)
     save_object(known, target)
     write_cloud(known, target.with_suffix(".ply"))
-
-
-class _Points:
-    """Points that are picked, each where it is asked for; the result that pixels are of is read when it is needed."""
-
-    def __init__(self, known: KnownObject, source: Path, result: Path | None) -> None:
-        self.known, self._source, self._path = known, source, result
-        self._result: Result | None = None
-
-    def __call__(self, option: str, words: str) -> Picked:
-        if words.lstrip().startswith("@") and self._result is None:
-            self._result = result_of(self._source.parent if self._path is None else self._path, self.known)
-        with _named(option):
-            return picked(words.strip(), self.known, self._result)
-
-
-@contextmanager
-def _named(option: str) -> Iterator[None]:
-    """Within it a ValueError gets an option's name."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(f"{option} {error}") from None
-
-
-def _by_points(points: _Points, *words: str) -> Found:
-    origin, x, xy = (points(option, word) for option, word in zip(("--origin", "--x", "--xy"), words, strict=True))
-
-    def drawn(draw: Callable[[Picked], FloatArray]) -> RigidTransform:
-        return by_points(draw(origin), draw(x), draw(xy))
-
-    found = drawn(lambda p: p.place)
-    return Found(found, drawn_sd(found, lambda rng: drawn(_one_of(rng))), "three points")
-
-
-def _one_of(rng: np.random.Generator) -> Callable[[Picked], FloatArray]:
-    """Where picked points may be as well, in one draw."""
-    poses = dict[int, FloatArray]()
-    return lambda point: point.drawn(rng, poses)
-
-
-def _by_plane(points: _Points, plane: Sequence[str], origin: str | None, x: str | None) -> Found:
-    known = points.known
-    on, said = known_well(known), "largest plane"
-    if list(plane) != [LARGEST]:
-        at = np.array([points("--plane", word).place for word in plane])
-        far = np.linalg.norm(on[:, None] - at, axis=2).min(axis=1)
-        on, said = on[far < AROUND * known.radius], f"plane at {len(at)} picked point{'s' if len(at) > 1 else ''}"
-    rng, middle = np.random.default_rng(0), known.frame.from_learnt.translation
-    with _named("--plane:"):
-        normal, center, good = on_plane(on, known.radius, middle, rng)
-    start = None if origin is None else points("--origin", origin)
-    along = None if x is None else points("--x", x)
-    on = on[good]
-
-    def drawn(normal: FloatArray, center: FloatArray, draw: Callable[[Picked], FloatArray]) -> RigidTransform:
-        return by_plane(normal, center, None if start is None else draw(start), None if along is None else draw(along))
-
-    found = drawn(normal, center, lambda p: p.place)
-    sd = drawn_sd(
-        found,
-        lambda rng: drawn(*plane_of(on[rng.integers(0, len(on), len(on))], normal), _one_of(rng)),
-    )
-    return Found(found, sd, f"{said}, {len(on)} landmarks")
-
-
-def _by_extent(known: KnownObject) -> Found:
-    on = known_well(known)
-    with _named("--extent:"):
-        found = by_extent(on)
-    sd = drawn_sd(found, lambda rng: by_extent(on[rng.integers(0, len(on), len(on))]))
-    return Found(found, sd, f"extent of {len(on)} landmarks")
-
-
-def _moved(points: _Points, origin: str | None, turn: str | None) -> Found:
-    """Plainly moved and turned; as certain as the present frame is, and the picked origin."""
-    at = Picked(np.zeros(3), np.zeros((3, 3))) if origin is None else points("--origin", origin)
-    angles = np.zeros(3)
-    if turn is not None:
-        try:
-            angles = np.array([float(cell) for cell in turn.split(",")])
-        except ValueError:
-            angles = np.empty(0)
-        if angles.shape != (3,) or not np.isfinite(angles).all():
-            raise ValueError(f"--turn: three angles in degrees, with commas between them, are expected, got {turn!r}")
-    axes, sd = Rotation.from_euler("xyz", angles, degrees=True), points.known.frame.sd
-    found = RigidTransform.from_components(at.place, axes).inv()
-
-    def drawn(rng: np.random.Generator) -> RigidTransform:
-        off = rng.normal(size=6) * sd
-        there = RigidTransform.from_components(_one_of(rng)(at), axes).inv()
-        return there * RigidTransform.from_components(off[3:], Rotation.from_rotvec(off[:3]))
-
-    certain = at.certain and not sd.any()
-    said = " and ".join(w for w, given in (("origin moved", origin), ("axes turned", turn)) if given)
-    before = points.known.frame.said
-    return Found(
-        found, np.zeros(6) if certain else drawn_sd(found, drawn), f"{before}, {said}"[-200:] if before else said
-    )
 
 
 # --- scale -----------------------------------------------------------------------------------------------------------
@@ -301,7 +204,7 @@ def scale_aloud(
     known = load_object(source)
     if not (np.isfinite(distance) and distance > 0):
         raise ValueError(f"--distance: a positive length is expected, got {distance}")
-    points = _Points(known, source, result)
+    points = Points(known, source, result)
     a, b = (points("--between", words) for words in between)
     apart = float(np.linalg.norm(b.place - a.place))
     if not apart > 0:
@@ -334,7 +237,7 @@ def _apart_sd(a: Picked, b: Picked) -> float:
     """Standard deviation of how far two points are apart."""
     rng, found = np.random.default_rng(0), []
     for _ in range(DRAWS):
-        one = _one_of(rng)
+        one = one_of_draws(rng)
         found.append(float(np.linalg.norm(one(b) - one(a))))
     return float(np.std(found))
 

@@ -19,7 +19,7 @@ from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Camera, Rig, nearest_point_to_rays
 from sylpose.tracking.known_object import KnownObject
 
-__all__ = ["KNOWN_DEPTH", "RESULT_OF", "Picked", "Result", "known_well", "picked", "result_of"]
+__all__ = ["KNOWN_DEPTH", "Picked", "Result", "known_well", "picked", "result_of"]
 
 # Landmarks whose depth is known to this share of the object's radius are known well (choice).
 KNOWN_DEPTH = 0.1
@@ -35,7 +35,6 @@ NEARBY, BESIDE, NEAREST, SLOPED = np.radians(25.0), 0.25, 20, 6
 SLOPE, RELIEF = 0.7, 0.01
 # Of what is not known at all, radians and lengths (choice).
 MOST_SD = 1e3
-RESULT_OF = "--result DIR: the folder of a run that has seen the object"
 SAID = '"X,Y,Z", "near X,Y,Z" or "@FRAME CAMERA=U,V CAMERA=U,V"'
 
 
@@ -129,8 +128,11 @@ def picked(text: str, known: KnownObject, result: Result | None) -> Picked:
     """What "0.1,0,0.02" (in the object's frame), "near 0.1,0,0.02" (the nearest landmark) or "@42 cam_0=812,400
     cam_2=310,95" (pixels of images as recorded) mean.
 
+    Args:
+        result: of a run, for pixels.
+
     Raises:
-        ValueError: anything else; pixels without a result, of cameras that it has not, or where nothing is known.
+        ValueError: anything else; pixels of cameras that it has not, or where nothing is known.
     """
     words = text.split()
     try:
@@ -142,8 +144,7 @@ def picked(text: str, known: KnownObject, result: Result | None) -> Picked:
             pairs = [word.rpartition("=") for word in words[1:]]
             pixels = {name: np.array(_numbers(cell, 2)) for name, found, cell in pairs if found}
             if len(pixels) == len(words) - 1:
-                if result is None:
-                    raise ValueError(f"pixels are those of a run: {RESULT_OF} (beside the object by default)")
+                assert result is not None
                 return _seen(pixels, result, int(frame[1]), known)
         raise ValueError(f"a point is {SAID}")
     except ValueError as error:

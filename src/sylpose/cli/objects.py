@@ -50,6 +50,7 @@ def show(file: ObjectFile) -> None:
         '--xy "@42 cam_0=812,300"',
         "sylpose object frame object.npz tool.npz --plane largest",
         "sylpose object frame object.npz tool.npz --extent",
+        "sylpose object frame object.npz tool.npz --board apriltag:36h11,id=3,size=80mm --recording recording",
         "sylpose object frame object.npz tool.npz --origin 0,0,0.05 --turn 0,0,90",
         "sylpose track other --object tool.npz",
     ),
@@ -78,6 +79,13 @@ def frame(
     turn: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="Turn the axes, degrees about the present x, then y, then z.")
     ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(metavar="WHAT", help="A board or marker that is on it, such as apriltag:36h11,id=3,size=80mm."),
+    ] = None,
+    recording: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="With --board: where it is seen; what --result is of.")
+    ] = None,
     result: ResultFolder = None,
 ) -> None:
     """Set the origin and the axes of an object: `sylpose track OTHER --object OUT` then tells poses of them.
@@ -86,7 +94,19 @@ def frame(
     """
     from sylpose.app.objects import frame_aloud
 
-    frame_aloud(source, target, origin=origin, x=x, xy=xy, plane=plane or (), extent=extent, turn=turn, result=result)
+    frame_aloud(
+        source,
+        target,
+        origin=origin,
+        x=x,
+        xy=xy,
+        plane=plane or (),
+        extent=extent,
+        turn=turn,
+        board=board,
+        recording=recording,
+        result=result,
+    )
 
 
 @object_app.command(
