@@ -19,71 +19,15 @@ from sylpose.app.object_files import CLOUD, OBJECT, known_objects, load_object, 
 from sylpose.app.run import track_session
 from sylpose.capture import open_session
 from sylpose.cli import main
-from sylpose.report.files import read_trajectory
-from sylpose.results import FramePose, Observable
+from sylpose.results import Observable
 from sylpose.rig import Rig
-from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
+from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
 from sylpose.tracking.known_here import known_here
 from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.tracker import Tracker
+from tests.takes import NEXT, RIG, Path_, elsewhere, errors, recorded, slide
 
 pytestmark = pytest.mark.usefixtures("undrawn")
-
-Path_ = Callable[[float], RigidTransform]
-RIG = arc(4, 35, 1.5, 500, (480, 360), height=0.4)
-# Frames of the first take and of the others.
-FIRST, NEXT = 50, 14
-
-
-def learning(k: float) -> RigidTransform:
-    """To and fro, turning by 80 degrees."""
-    turn = Rotation.from_rotvec(0.03 * (k + 2 * np.sin(k / 4)) * np.array([0.3, 0.9, 0.3]))
-    return RigidTransform.from_components([0.05 * np.sin(k / 9), 0.03 * np.sin(k / 8), 0.04 * np.sin(k / 11)], turn)
-
-
-def elsewhere(k: float) -> RigidTransform:
-    """Begins 20 degrees and 7 cm away, and turns about another axis."""
-    start = Rotation.from_rotvec([0.1, 0.35, -0.05])
-    turn = Rotation.from_rotvec(0.025 * k * np.array([0.8, 0.5, -0.2])) * start
-    return RigidTransform.from_components([0.06 - 0.004 * k, 0.03, 0.02 * np.sin(k / 6)], turn)
-
-
-def slide(k: float) -> RigidTransform:
-    """Does not turn at all."""
-    return RigidTransform.from_components([0.05 - 0.008 * k, 0.02, 0.003 * k], Rotation.from_rotvec([0.1, 0.3, 0.0]))
-
-
-def recorded(folder: Path, path: Path_, frames: int, *, seed: int = 0) -> Path:
-    write_recording(Recording(Scene(RIG, (Actor(chamfered_box([0.3, 0.22, 0.26], 300), path),), frames, seed)), folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording with its results in it."""
-    folder = recorded(tmp_path_factory.mktemp("first") / "take", learning, FIRST)
-    track_session(open_session(folder), overlay=False)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def known(first: Path) -> KnownObject:
-    return load_object(first / "sylpose" / OBJECT)
-
-
-@pytest.fixture(scope="module")
-def actor_from_object(first: Path) -> RigidTransform:
-    """The frame that the object got in the first take, by its first pose, which is right by definition."""
-    pose = next(p for p in read_trajectory(first / "sylpose" / "trajectory.csv") if p.world_from_object is not None)
-    assert pose.world_from_object is not None
-    return learning(pose.index).inv() * pose.world_from_object
-
-
-def errors(pose: FramePose, true: RigidTransform) -> np.ndarray:
-    """(6,) of (w, d)."""
-    assert pose.world_from_object is not None
-    turn = (pose.world_from_object.rotation * true.rotation.inv()).as_rotvec()
-    return np.concatenate([turn, pose.world_from_object.translation - true.translation])
 
 
 @pytest.mark.parametrize("path", [elsewhere, slide])

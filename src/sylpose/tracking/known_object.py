@@ -12,9 +12,9 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import Features
 from sylpose.landmarks.places import Landmarks
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.numerics.checked import finite, kind_of
+from sylpose.numerics.checked import finite, kind_of, number
 from sylpose.reading import one_line
-from sylpose.rig import Rig, single_pose
+from sylpose.rig import MAX_LENGTH, Rig, single_pose
 from sylpose.told import Telling, Told, length, named
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.frame import SolvedFrame
@@ -131,6 +131,49 @@ class KnownObject(Told):
         from_learnt = single_pose(new_from_object, "new_from_object") * self.frame.from_learnt
         frame = ObjectFrame(from_learnt, sd, one_line(kind_of(said, str, "said"), SAID))
         return replace(self, frame=frame)
+
+    def sized(self, factor: float, unit: str, sd: float = 0.0) -> KnownObject:
+        """The same object so many times as large, of one that a single camera has learnt: before that camera nothing changes
+        by it but how far away everything is.
+
+        Args:
+            unit: of its lengths then, or "".
+            sd: relative standard deviation of the factor.
+
+        Raises:
+            ValueError: lengths that cameras have measured; no factor, no standard deviation.
+        """
+        if self.unit != FIRST_DISTANCES:
+            raise ValueError("cameras have measured its lengths: scaled they would contradict every calibration")
+        factor, sd = number(factor, "factor", above=0.0, most=MAX_LENGTH), number(sd, "sd", least=0.0, most=1.0)
+        eye, size = self.rig.cameras[0].center, np.repeat([1.0, factor], 3)
+
+        def larger(frame: SolvedFrame) -> SolvedFrame:
+            pose, covariance = frame.world_from_object, frame.covariance * np.outer(size, size)
+            there = RigidTransform.from_components(eye + factor * (pose.translation - eye), pose.rotation)
+            return replace(frame, world_from_object=there, covariance=covariance)
+
+        def enlarged(memory: CameraMemory) -> CameraMemory:
+            its = memory.landmarks
+            return replace(
+                memory, landmarks=replace(its, mean=factor * its.mean, information=its.information / factor**2)
+            )
+
+        frame = self.frame.from_learnt
+        return replace(
+            self,
+            rig=Rig(self.rig.cameras, kind_of(unit, str, "unit")),
+            radius=factor * self.radius,
+            _points=factor * self._points,
+            _keyframes=tuple(map(larger, self._keyframes)),
+            _cameras={name: enlarged(memory) for name, memory in self._cameras.items()},
+            frame=replace(
+                self.frame,
+                from_learnt=RigidTransform.from_components(factor * frame.translation, frame.rotation),
+                sd=self.frame.sd * size,
+            ),
+            scale_sd=sd,
+        )
 
     def _told(self) -> Telling:
         brief = (
