@@ -178,16 +178,21 @@ def lens_named(word: Any, where: str, what: str) -> LensModel:
     return LENSES[str(word).lower()]
 
 
-def numbers(value: Any, n: int, what: str) -> FloatArray:
+def numbers(value: Any, n: int | tuple[int, ...], what: str) -> FloatArray:
     """(n,) numbers, of a list of any shape or of a text with blanks or commas between them.
+
+    Args:
+        n: how many they must be, or may be.
 
     Raises:
         ValueError: naming `what`, for another number of them, what is none, and what is not finite.
     """
     words = re.split(r"[\s,]+", value.strip()) if isinstance(value, str) else value
     array = _array(words, what).ravel()
-    if array.size != n:
-        raise ValueError(f"{what} must be {n} numbers, got {array.size}")
+    if array.size not in (n if isinstance(n, tuple) else (n,)):
+        raise ValueError(
+            f"{what} must be {n if isinstance(n, int) else ' or '.join(map(str, n))} numbers, got {array.size}"
+        )
     return array
 
 

@@ -1,15 +1,13 @@
 """COLMAP's models, text or binary: a folder with cameras.txt and images.txt, or .bin; and its rig_config.json.
 
-A camera's lens is in `cameras`, its pose in `images`, which has one of each image: a camera that does not move has the
-same in all of its images, up to what COLMAP's own error makes of it. Images in folders are of the camera that the folder
-is called after; those in no folder of the camera with their CAMERA_ID, or each of its own.
+A camera's lens is in `cameras`, its pose in `images`, which has one of each image: `shots` says which are of one camera.
 
 COLMAP's pixels have the centre of the top-left one at (0.5, 0.5), quaternions w first, and lengths are in no unit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
@@ -26,7 +24,8 @@ from sylpose.calibration.build import (
     numbers,
     sizes_of,
 )
-from sylpose.calibration.colmap_model import Image, Model
+from sylpose.calibration.colmap_model import Model
+from sylpose.calibration.shots import Shot, path_of, still_cameras, told_apart
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Camera, LensModel, Rig
 
@@ -34,10 +33,6 @@ __all__ = ["HALF", "is_rig_config", "lens_of_model", "read", "read_rig_config", 
 
 # The centre of the top-left pixel.
 HALF = 0.5
-# How far a camera's poses, one of each image, may be apart: twice what images with some hundred points have (choice), as an
-# angle in degrees and a share of the largest distance between cameras.
-MAX_TURN, MAX_SHIFT = 0.2, 0.005
-
 # Parameters of those models that OpenCV has, too: how many focal lengths, and which of OpenCV's terms the others are.
 _MODELS: dict[str, tuple[int, tuple[int, ...], LensModel]] = {
     "SIMPLE_PINHOLE": (1, (), "opencv"),
@@ -85,22 +80,19 @@ def read(model: Model, path: Path) -> Rig:
     Raises:
         ValueError: naming the file, and the camera where there is one: images of one camera whose poses are not one.
     """
-    if not model.images:
+    images = [
+        Shot(path_of(image.name), str(image.camera), image.quaternion, image.translation) for image in model.images
+    ]
+    if not images:
         raise ValueError(f"{path}: no image of this COLMAP model has a pose")
-    groups = _by_camera(model.images)
-    means = {name: _mean(images) for name, images in groups.items()}
-    centers = np.array([pose.inv().translation for pose in means.values()])
-    extent = max(float(np.linalg.norm(centers - center, axis=1).max()) for center in centers)
     cameras = []
-    for name, images in groups.items():
-        used = sorted({image.camera for image in images})
-        if len(used) > 1 or used[0] not in model.lenses:
-            what = f"{len(used)} lenses" if len(used) > 1 else "no lens"
-            raise ValueError(f"{path}: camera {name}: its images have {what} in COLMAP's cameras: {used}")
-        _check_static(name, images, means[name], extent, path)
-        its = model.lenses[used[0]]
-        lens = lens_of_model(its.model, its.params, f"{path}: camera {name}")
-        cameras.append(_camera(path, name, its.size, lens, means[name]))
+    for still in still_cameras(images, path):
+        lens = model.lenses.get(int(still.lens))
+        where = f"{path}: camera {still.name}"
+        if lens is None:
+            raise ValueError(f"{where}: its images have a lens, {still.lens}, that is not in COLMAP's cameras")
+        found = lens_of_model(lens.model, lens.params, where)
+        cameras.append(_camera(path, still.name, lens.size, found, still.camera_from_world))
     return make_rig(path, cameras)
 
 
@@ -122,7 +114,7 @@ def read_rig_config(data: list[Any], path: Path, sizes: Sizes | None = None) -> 
             f"{path}: this is a COLMAP rig_config of {len(data)} rigs, and does not tell how they stand to each other"
         )
     nodes = [node for node in data[0]["cameras"] if isinstance(node, dict)]
-    names = _told_apart([PurePosixPath(str(node.get("image_prefix", ""))) for node in nodes])
+    names = told_apart([PurePosixPath(str(node.get("image_prefix", ""))) for node in nodes])
     found = []
     for name, node in zip(names, nodes, strict=True):
         where = f"{path}: camera {name}"
@@ -191,68 +183,3 @@ def _rotation(quaternion: FloatArray, where: str) -> Rotation:
     if not abs(np.linalg.norm(quaternion) - 1.0) < 1e-3:
         raise ValueError(f"{where}: {quaternion} is no unit quaternion")
     return Rotation.from_quat(np.roll(quaternion, -1))
-
-
-def _by_camera(images: Sequence[Image]) -> dict[str, list[Image]]:
-    """The images of each camera, in the order of their lenses' numbers, then of their names."""
-    paths = {image.name: PurePosixPath(image.name.replace("\\", "/")) for image in images}
-    found: dict[Any, list[Image]] = {}
-    in_folders = all(len(path.parts) > 1 for path in paths.values())
-    by_lens: dict[int, list[Image]] = {}
-    for image in images:
-        by_lens.setdefault(image.camera, []).append(image)
-    together = all(_spread(its, _mean(its))[0] <= MAX_TURN for its in by_lens.values())
-    for image in images:
-        path = paths[image.name]
-        found.setdefault(path.parent if in_folders else image.camera if together else path, []).append(image)
-    keys = list(found)
-    if in_folders:
-        names = _told_apart(keys)
-    elif together:
-        names = [paths[found[key][0].name].stem if len(found[key]) == 1 else str(key) for key in keys]
-    else:
-        names = [path.stem for path in keys]
-    by_name = dict(zip(names, (found[key] for key in keys), strict=True))
-    if len(by_name) < len(keys):
-        by_name = {str(key).replace("/", "_"): its for key, its in found.items()}
-    return {name: by_name[name] for name in sorted(by_name, key=lambda name: (by_name[name][0].camera, name))}
-
-
-def _told_apart(folders: Sequence[PurePosixPath]) -> list[str]:
-    """Names of folders: their last parts, where these are different."""
-    last = [folder.name for folder in folders]
-    return last if len(set(last)) == len(last) else ["_".join(folder.parts) for folder in folders]
-
-
-def _poses(images: Sequence[Image]) -> RigidTransform:
-    """camera_from_world of each image."""
-    turns = Rotation.from_quat(np.array([image.quaternion for image in images]))
-    return RigidTransform.from_components(np.array([image.translation for image in images]), turns)
-
-
-def _mean(images: Sequence[Image]) -> RigidTransform:
-    """camera_from_world of a camera that stood still."""
-    poses = _poses(images)
-    if (poses.as_matrix() == poses[0].as_matrix()).all():
-        return poses[0]
-    rotation = poses.rotation.mean()
-    return RigidTransform.from_components(-rotation.apply(poses.inv().translation.mean(axis=0)), rotation)
-
-
-def _spread(images: Sequence[Image], mean: RigidTransform) -> tuple[float, float]:
-    """The largest turn, degrees, and the largest distance of an image's pose from their mean."""
-    poses = _poses(images)
-    shifts = np.linalg.norm(poses.inv().translation - mean.inv().translation, axis=1)
-    return float(np.degrees((poses.rotation * mean.rotation.inv()).magnitude().max())), float(shifts.max())
-
-
-def _check_static(name: str, images: Sequence[Image], mean: RigidTransform, extent: float, path: Path) -> None:
-    turn, shift = _spread(images, mean)
-    # One camera alone: how far it is from the origin, which COLMAP has among the points.
-    scale = extent if extent > 0 else float(np.linalg.norm(mean.inv().translation))
-    if turn <= MAX_TURN and shift <= MAX_SHIFT * scale:
-        return
-    raise ValueError(
-        f"{path}: camera {name}: its {len(images)} images in this COLMAP model do not have one pose: they are up to "
-        f"{turn:.2f} degrees and {shift:.2g} units away from their mean; sylpose is for cameras that do not move"
-    )

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from sylpose.calibration.markup import elements, from_json, from_xml, from_yaml
+from sylpose.calibration.markup import documents, elements, from_json, from_xml, from_yaml
 from sylpose.reading import MAX_TEXT, parsed_toml, text_of, told
 
-__all__ = ["Content", "beside", "content_of", "plain_of", "text_in"]
+__all__ = ["Content", "beside", "content_of", "documents_beside", "plain_of", "text_in"]
 
 Kind = Literal["toml", "plain", "xml", "csv", "unknown"]
 # Of XML that is not OpenCV's, bytes (choice: masks and thresholds of a hundred cameras of a motion capture system).
 MAX_XML = 2**24
+# Files of one camera each (choice: more than rigs have).
+MAX_FILES = 1000
 _MARKUP = (".yml", ".yaml", ".json", ".xml")
 
 
@@ -88,6 +91,23 @@ def beside(path: Path, part: str, other: str) -> Path | None:
     wanted = stem.replace(part, other, 1)
     found = [file for file in sorted(path.parent.iterdir()) if file.stem.lower() == wanted]
     return next((file for file in found if file.suffix.lower() in _MARKUP and file.is_file()), None)
+
+
+def documents_beside(path: Path, *words: str) -> Iterator[tuple[Path, Any]]:
+    """The documents of a file of YAML and of all others in its folder in which one of these words stands.
+
+    Raises:
+        OSError, ValueError: naming the file, for one that cannot be read.
+    """
+    files = [file for file in sorted(path.parent.iterdir()) if file.suffix.lower() in (".yml", ".yaml")]
+    for file in files[:MAX_FILES]:
+        if not file.is_file() or (file.stat().st_size > MAX_TEXT and file != path):
+            continue
+        with told(file):
+            text = text_of(file)
+            if any(word in text for word in words):
+                for document in documents(text):
+                    yield file, document
 
 
 def _xml(text: str) -> Content:

@@ -7,7 +7,26 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sylpose.calibration import anipose, caliscope, colmap, filestorage, kalibr, native, stereo
+from sylpose.calibration import (
+    anipose,
+    caliscope,
+    colmap,
+    deeplabcut,
+    easymocap,
+    filestorage,
+    jarvis,
+    kalibr,
+    matlab,
+    metashape,
+    multicamselfcal,
+    native,
+    nerf,
+    optitrack,
+    qualisys,
+    ros,
+    stereo,
+    vicon,
+)
 from sylpose.calibration.build import Sizes
 from sylpose.calibration.colmap_model import is_model, read_model
 from sylpose.calibration.content import content_of
@@ -37,7 +56,12 @@ class Format(NamedTuple):
         return self.read(data, path) if self.sized else self.read(data, path, sizes)
 
 
+# By the names of their files.
 COLMAP = Format("COLMAP model", is_model, colmap.read)
+NAMED = (
+    Format("MultiCamSelfCal", multicamselfcal.is_multicamselfcal, multicamselfcal.read, sized=False),
+    Format("DeepLabCut pickle", deeplabcut.is_pickle, deeplabcut.read, sized=False),
+)
 # By kind of content; those that are told by more stand before those that are told by less.
 FORMATS: dict[str, tuple[Format, ...]] = {
     "toml": (
@@ -47,11 +71,21 @@ FORMATS: dict[str, tuple[Format, ...]] = {
     ),
     "plain": (
         Format("COLMAP rig_config", colmap.is_rig_config, colmap.read_rig_config, sized=False),
+        Format("NeRF transforms", nerf.is_nerf, nerf.read, sized=False),
+        Format("Matlab stereoParameters", matlab.is_matlab, matlab.read, sized=False),
+        Format("JARVIS", jarvis.is_jarvis, jarvis.read, sized=False),
+        Format("EasyMocap", easymocap.is_easymocap, easymocap.read, sized=False),
+        Format("ROS camera_info", ros.is_ros, ros.read),
         Format("Kalibr camchain", kalibr.is_kalibr, kalibr.read),
         Format("OpenCV stereo", stereo.is_stereo, stereo.read, sized=False),
         Format("OpenCV FileStorage", filestorage.is_calibration, filestorage.read, sized=False),
     ),
-    "xml": (),
+    "xml": (
+        Format("Qualisys", qualisys.is_qualisys, qualisys.read),
+        Format("Vicon XCP", vicon.is_vicon, vicon.read),
+        Format("OptiTrack MCAL", optitrack.is_optitrack, optitrack.read),
+        Format("Metashape XML", metashape.is_metashape, metashape.read),
+    ),
     "csv": (),
     "unknown": (),
 }
@@ -72,6 +106,8 @@ class Told(NamedTuple):
 # Names of files that stand for a folder, those that tell more before those that tell less.
 IN_FOLDERS = (
     r"cameras\.(?:bin|txt)",
+    r"camera[0-9]+\.Pmat\.cal",
+    r"stereo_params\.pickle",
     r"(?:.*[_-])?calib.*\.(?:toml|ya?ml|json|xml)",
     r".*intri.*\.(?:ya?ml|json|xml)",
     r".*camchain.*\.ya?ml",
@@ -108,6 +144,9 @@ def standing_for(folder: Path) -> Path:
 def _told_format(path: Path) -> Told:
     if is_model(path):
         return Told(COLMAP, path, read_model(path))
+    for format_ in NAMED:
+        if format_.tells(path):
+            return Told(format_, path, None)
     kind, data = content_of(path)
     for format_ in FORMATS[kind]:
         if format_.tells(data):
