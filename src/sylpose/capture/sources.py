@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import av
 import av.error
@@ -28,6 +28,8 @@ ONLY_VIDEOS = {
     "protocol_whitelist": "file",
     "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,mpeg,mpegvideo,mpegts,asf,flv,live_flv,ogg",
 }
+# A title that is no UTF-8 is no reason to refuse a video. PyAV takes any from version 19 on, and has to be told before.
+ANY_TITLE: dict[str, Any] = {} if int(av.__version__.partition(".")[0]) >= 19 else {"metadata_errors": "replace"}
 # What sylpose writes, or reads as something else than a camera.
 NO_CAMERAS = frozenset({"sylpose", "masks", "overlay"})
 
@@ -176,7 +178,7 @@ def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
     if not path.is_file():
         raise Unreadable(f"{path}: a video is expected, not a folder, a pipe or a device")
     try:
-        container = av.open(str(path.absolute()), options=ONLY_VIDEOS, metadata_errors="replace")
+        container = av.open(str(path.absolute()), options=ONLY_VIDEOS, **ANY_TITLE)
     except av.error.FFmpegError as error:
         raise ValueError(f"{path}: cannot be opened as a video ({error.strerror})") from None
     if not container.streams.video:
