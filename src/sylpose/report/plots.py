@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import textwrap
 from collections import Counter
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.report.disagreement import disagreements, remarks
 from sylpose.results import FrameStatus, Observable, Trajectory
 
-__all__ = ["camera_colors", "finish", "new_figure", "plot_trajectory", "save_figure", "summary"]
+__all__ = ["camera_colors", "finish", "new_figure", "plot_trajectory", "save_figure", "summary", "trajectory_figure"]
 
 
 # Okabe & Ito's colours, which the colour-blind can tell apart. The same axis has the same colour in both upper panels:
@@ -80,6 +81,16 @@ def summary(trajectory: Trajectory) -> str:
 def plot_trajectory(
     trajectory: Trajectory, path: Path | str, *, note: str = "", angles: Angles = PAN_TILT_ROLL
 ) -> None:
+    """`trajectory_figure` as a file (.png, .svg, .pdf), replaced when it is there.
+
+    Raises:
+        ValueError: a trajectory without frames.
+        OSError: naming the file, when it cannot be written.
+    """
+    save_figure(trajectory_figure(trajectory, note=note, angles=angles), path)
+
+
+def trajectory_figure(trajectory: Trajectory, *, note: str = "", angles: Angles = PAN_TILT_ROLL) -> Figure:
     """Draws three angles and the total turn, the position since the start, inliers and residuals per camera over time.
 
     Angles are those of the CSV, their lines broken where they go round.
@@ -91,19 +102,16 @@ def plot_trajectory(
 
     Args:
         trajectory: of at least one frame.
-        path: of the picture (.png, .svg, .pdf); replaced when it is there.
         note: a line below, of what this is a picture of.
         angles: which three.
 
     Raises:
         ValueError: a trajectory without frames.
-        OSError: naming the file, when it cannot be written.
     """
     title = summary(trajectory)
     solved = trajectory.solved
     if not any(f.world_from_object is not None for f in trajectory):
-        save_figure(_why_nothing(trajectory, title, note), path)
-        return
+        return _why_nothing(trajectory, title, note)
     pale = np.array([f.status in (FrameStatus.COASTING, FrameStatus.UNCERTAIN) for f in trajectory])
     times = trajectory.times
     marker = "." if len(trajectory) <= MARKED_FRAMES else ""
@@ -172,7 +180,7 @@ def plot_trajectory(
     _legend(inliers, list(inliers.get_lines()))
     figure.align_ylabels(panels)
     _put_note(figure, note)
-    save_figure(figure, path)
+    return figure
 
 
 def _put_note(figure: Figure, note: str) -> None:
@@ -208,9 +216,18 @@ def _why_nothing(trajectory: Trajectory, title: str, note: str) -> Figure:
     return figure
 
 
+class Picture(Figure):
+    """A figure that notebooks show, whether Matplotlib has been told of them or not."""
+
+    def _repr_png_(self) -> bytes:
+        file = io.BytesIO()
+        self.savefig(file, format="png", bbox_inches="tight", pad_inches=0.15)
+        return file.getvalue()
+
+
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of that many inches, drawn by Agg: no window, no global state."""
-    figure = Figure(figsize=(width, height), dpi=110, layout="constrained", facecolor="white")
+    figure = Picture(figsize=(width, height), dpi=110, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
