@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Self
+from typing import Any, Self
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -16,10 +16,7 @@ from sylpose.numerics.checked import kind_of, listed
 from sylpose.numerics.matrices import carried, covariance_of
 from sylpose.rig import single_pose
 from sylpose.statuses import FrameStatus, Observable, Status
-from sylpose.told import Telling, Told, inliers_told, length, lengths, named, spread, turned, vector
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from sylpose.told import Telling, Told, inliers_told, length, lengths, named, place_told, spread, turned, vector
 
 __all__ = [
     "UNCERTAIN_TURN",
@@ -104,9 +101,11 @@ class Motion(Told):
             said.append(("or else turned", turned(self.rival.rotation)))
         if len(self.unseen):
             said.append(("not seen", f"{len(self.unseen)} of the six directions of (w, d): `unseen`"))
-        where = (
-            f"at {lengths(by, sigma[3:], self.unit)}" if placed else f"moved {length(np.linalg.norm(by), self.unit)}"
-        )
+        where = f"moved {length(float(np.linalg.norm(by)), self.unit)}"
+        if placed:
+            where = f"at {place_told(by)}"
+        elif not np.isfinite(by @ self.covariance[3:, 3:] @ by) or self.status is Status.SCALE_NOT_OBSERVABLE:
+            where = "how far it moved is not seen"
         brief = f"{self.status.value}, turned {turned(self.motion.rotation)}, {where}"
         return Telling(
             f"{brief}, {self.n_inliers.sum()} inliers in {len(self.inliers)} cameras", [*said, *rows], status
@@ -325,18 +324,14 @@ class Trajectory(Told):
         rows = [("frames", ", ".join(f"{status.value} {count}" for status, count in of))] if of else []
         if found:
             turn, moved = self.turn[self.solved], self.positions[self.solved]
-            by, path = np.linalg.norm(moved[-1] - moved[0]), np.linalg.norm(np.diff(moved, axis=0), axis=1).sum()
-            brief += f", turned {np.degrees(turn[-1]):.1f}°, moved {length(by, self.unit)}"
+            by = length(float(np.linalg.norm(moved[-1] - moved[0])), self.unit)
+            path = length(float(np.linalg.norm(np.diff(moved, axis=0), axis=1).sum()), self.unit)
+            last, most = np.degrees(turn[-1]), np.degrees(turn.max())
+            brief += f", turned {last:.1f}°, moved {by}"
             rows += [
                 ("time", f"{found[0].time:.3f} to {found[-1].time:.3f}"),
-                (
-                    "turned",
-                    f"{np.degrees(turn[-1]):.1f}° from the first to the last, {np.degrees(turn.max()):.1f}° at most",
-                ),
-                (
-                    "moved",
-                    f"{length(by, self.unit)} from the first to the last, along a path of {length(path, self.unit)}",
-                ),
+                ("turned", f"{last:.1f}° from the first to the last, {most:.1f}° at most"),
+                ("moved", f"{by} from the first to the last, along a path of {path}"),
             ]
         cameras = []
         for c, name in enumerate(self.camera_names):
@@ -348,8 +343,9 @@ class Trajectory(Told):
             cameras.append((name, f"used in {len(used)} frames{said}"))
         return Telling(brief, [*rows, *named(cameras)])
 
-    def plot(self, *, note: str = "") -> Figure:
-        """Angles, position, inliers and residuals over time, as in `report.png`; a notebook shows it.
+    def plot(self, *, note: str = "") -> Any:
+        """Angles, position, inliers and residuals over time, as in `report.png`: a `matplotlib.figure.Figure`, which a
+        notebook shows.
 
         Args:
             note: a line below.

@@ -107,7 +107,9 @@ def spread(values: FloatArray, sigma: FloatArray) -> str:
 
 def vector(values: FloatArray, digits: int = 2) -> str:
     """Numbers in parentheses, so many digits behind the point."""
-    return f"({', '.join('unknown' if not math.isfinite(v) else f'{round(v, digits) + 0.0:.{digits}f}' for v in values.tolist())})"
+    # Added to 0, a number that rounds to -0 is 0.
+    said = (f"{round(v, digits) + 0.0:.{digits}f}" if math.isfinite(v) else "unknown" for v in values.tolist())
+    return f"({', '.join(said)})"
 
 
 def place_told(place: FloatArray) -> str:

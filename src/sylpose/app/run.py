@@ -16,6 +16,7 @@ from sylpose.app.object_files import checksum_of
 from sylpose.app.opening import check_out
 from sylpose.app.outcome import Run
 from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
+from sylpose.app.progress import Watcher, watched
 from sylpose.app.record import SETTINGS, USED, write_record
 from sylpose.app.results_folder import ResultsFolder, alone_in
 from sylpose.app.saving import Saver
@@ -83,6 +84,7 @@ def track_session(
     distributed: str | None = None,
     resume: bool = False,
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
+    progress: bool | Watcher | None = None,
     on_resume: Callable[[int], None] | None = None,
     on_frame: Callable[[TrackedFrame], None] | None = None,
     on_pose: Callable[[str, FramePose], None] | None = None,
@@ -118,6 +120,8 @@ def track_session(
             (`network.stepwise`), of a recording.
         resume: go on with the run in `out` that was interrupted. It must have had the same options.
         checkpoint_seconds: between two checkpoints; 0 for one after every frame. Live sessions have none.
+        progress: True for a bar in a terminal or a notebook; or called with the numbers of frames that are tracked and that
+            there are (None for live sessions). None: nothing is shown.
         on_resume: called with the number of frames that the interrupted run has solved.
         on_frame: called with each frame once it is in the trajectory files; of several objects, with each of them.
         on_pose: called with the object's name and its pose in each frame, as it is tracked.
@@ -155,7 +159,8 @@ def track_session(
         if on_problem is not None:
             on_problem(problem)
 
-    smooth = _is_smoothed(smooth, session, method, len(range(start, _end(session, stop), max(every, 1))))
+    number = len(range(start, _end(session, stop), max(every, 1)))
+    smooth = _is_smoothed(smooth, session, method, number)
     asked = {"method": method, "features": features, "seed": seed, "start": start, "stop": stop, "every": every}
     if isinstance(known, KnownObject):
         if len(session.objects) > 1:
@@ -194,6 +199,7 @@ def track_session(
             raise FileNotFoundError(f"{results.path}: no interrupted run to resume (there is no such folder)")
         # Up to here nothing was written.
         whole.enter_context(alone_in(results.path))
+        shown = whole.enter_context(watched(progress, len(session.rig), number or None, len(trackers)))
         position, states = 0, {name: OutputState() for name in session.objects}
         album = Album(len(session.rig))
         outputs: dict[str, ObjectOutput] = {}
@@ -212,6 +218,7 @@ def track_session(
             if position:
                 first = start + position * every
                 album.go_on(position, session.frames(start, first, every * step_after(position), lambda _: None))
+            shown.skip(position)
             if on_resume is not None:
                 on_resume(position)
         else:
@@ -253,10 +260,16 @@ def track_session(
                     said(tracked.note if len(outputs) == 1 else f"{name}: {tracked.note}")
                 if drawing is not None:
                     drawing.put(name, tracked)
+                shown.update(tracked)
                 if on_frame is not None:
                     on_frame(tracked)
                 if on_pose is not None:
                     on_pose(name, tracked.pose)
+
+        def refined(number: int) -> None:
+            shown.smoothing(number)
+            if on_smoothing is not None:
+                on_smoothing(number)
 
         def state_now() -> RunState:
             return RunState(position, _memories(trackers), {name: output.state() for name, output in outputs.items()})
@@ -280,7 +293,7 @@ def track_session(
                 decided = tracker.flush()
             take(name, decided)
         for name, output in outputs.items():
-            if sentence := output.finish(on_smoothing):
+            if sentence := output.finish(refined):
                 said(sentence if len(outputs) == 1 else f"{name}: {sentence}")
         for name, tracker in trackers.items():
             if isinstance(tracker, Tracker) and method == METHODS[0]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import textwrap
 import time
@@ -21,6 +20,7 @@ from rich.text import Text
 from sylpose.reading import SENTENCE, one_line
 from sylpose.report.disagreement import remarks
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
+from sylpose.told import length
 
 if TYPE_CHECKING:  # loading these takes a second
     from sylpose.app.outcome import Run
@@ -102,14 +102,6 @@ def print_table(console: Console, header: Sequence[str], rows: Iterable[Sequence
     for row in rows:
         table.add_row(*row)
     console.print(table)
-
-
-def length(value: float, unit: str) -> str:
-    """A length for people, to three digits: millimetres below one metre."""
-    if unit == "m" and value < 1:
-        value, unit = 1000 * value, "mm"
-    digits = 2 - math.floor(math.log10(value)) if value > 0 else 0
-    return f"{value:.{min(max(digits, 0), 9)}f} {unit or 'units'}"
 
 
 def headline(session: Session | LiveSession) -> Text:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import textwrap
 from collections import Counter
 from collections.abc import Iterator
@@ -32,6 +33,7 @@ __all__ = [
     "readable",
     "save_figure",
     "summary",
+    "trajectory_figure",
     "why_nothing",
 ]
 
@@ -91,6 +93,16 @@ def summary(trajectory: Trajectory) -> str:
 def plot_trajectory(
     trajectory: Trajectory, path: Path | str, *, note: str = "", angles: Angles = PAN_TILT_ROLL
 ) -> None:
+    """`trajectory_figure` as a file (.png, .svg, .pdf), replaced when it is there.
+
+    Raises:
+        ValueError: a trajectory without frames.
+        OSError: naming the file, when it cannot be written.
+    """
+    save_figure(trajectory_figure(trajectory, note=note, angles=angles), path)
+
+
+def trajectory_figure(trajectory: Trajectory, *, note: str = "", angles: Angles = PAN_TILT_ROLL) -> Figure:
     """Draws three angles and the total turn, the position since the start, inliers and residuals per camera over time.
 
     Angles are those of the CSV, their lines broken where they go round.
@@ -102,19 +114,16 @@ def plot_trajectory(
 
     Args:
         trajectory: of at least one frame.
-        path: of the picture (.png, .svg, .pdf); replaced when it is there.
         note: a line below, of what this is a picture of.
         angles: which three.
 
     Raises:
         ValueError: a trajectory without frames.
-        OSError: naming the file, when it cannot be written.
     """
     title = summary(trajectory)
     solved = trajectory.solved
     if not any(f.world_from_object is not None for f in trajectory):
-        save_figure(_picture_of_nothing(trajectory, title, note), path)
-        return
+        return _picture_of_nothing(trajectory, title, note)
     pale = np.array([f.status in (FrameStatus.COASTING, FrameStatus.UNCERTAIN) for f in trajectory])
     times = trajectory.times
     marker = "." if len(trajectory) <= MARKED_FRAMES else ""
@@ -183,7 +192,7 @@ def plot_trajectory(
     _legend(inliers, list(inliers.get_lines()))
     figure.align_ylabels(panels)
     _put_note(figure, note)
-    save_figure(figure, path)
+    return figure
 
 
 def _put_note(figure: Figure, note: str) -> None:
@@ -225,9 +234,18 @@ def _picture_of_nothing(trajectory: Trajectory, title: str, note: str) -> Figure
     return figure
 
 
+class Picture(Figure):
+    """A figure that notebooks show, whether Matplotlib has been told of them or not."""
+
+    def _repr_png_(self) -> bytes:
+        file = io.BytesIO()
+        self.savefig(file, format="png", bbox_inches="tight", pad_inches=0.15)
+        return file.getvalue()
+
+
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of that many inches, drawn by Agg: no window, no global state."""
-    figure = Figure(figsize=(width, height), dpi=110, layout="constrained", facecolor="white")
+    figure = Picture(figsize=(width, height), dpi=110, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
