@@ -38,11 +38,15 @@ def write_record(folder: Path, session: Session | LiveSession, options: Mapping[
     asked = {name: value for name, value in options.items() if value is not None}
     text = f"{_HEAD}begun = {begun}\nrecording = {toml_string(str(session.path.resolve()))}\n"
     text += f"calibration = {toml_string(str(session.calibration.resolve()))}\n"
+    if isinstance(session, Session) and session.rate is not None:
+        text += f"rate = {session.rate!r}\n"
     text += _table("options", {name: value for name, value in asked.items() if not isinstance(value, Mapping)})
     for name, value in asked.items():
         if isinstance(value, Mapping):
             text += _table(name, value)
     if isinstance(session, Session):
+        if session.timeline.offsets:
+            text += _table("frame_offsets", session.timeline.offsets)
         text += _table("cameras", {source.camera: str(source.path.resolve()) for source in session.sources})
         text += "\n# Of what the result depends on; images count by their names and sizes."
         text += _table("checksums", fingerprint(session))
