@@ -40,7 +40,12 @@ class Running:
 def box_command(monkeypatch: pytest.MonkeyPatch, *args: object) -> Iterator[Running]:
     """`sylpose box`, which has ended by itself when the block has."""
     run = Running()
-    monkeypatch.setattr("sylpose.app.box.open_browser", lambda url: run.urls.put(url) or True)
+
+    def shown(url: str) -> bool:
+        run.urls.put(url)
+        return True
+
+    monkeypatch.setattr("sylpose.app.box.open_browser", shown)
     thread = threading.Thread(target=lambda: run.codes.append(main(["box", *map(str, args)])), daemon=True)
     thread.start()
     run.url = run.urls.get(timeout=60)

@@ -112,7 +112,7 @@ def epipolar_band(seen_by: Camera, box: Box, camera: Camera) -> Band:
         return Band(nothing, curve)
     # The outermost that come near the image.
     order = np.argsort(turned).tolist()
-    curves = {}
+    curves: dict[int, FloatArray] = {}
     for ks in (order, order[::-1]):
         for k in ks:
             curves[k] = curves.get(k, _curve(camera, towards, rim[k]))

@@ -18,12 +18,23 @@ from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import TCPServer
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Protocol, Self
 from urllib.parse import parse_qsl, urlsplit
 
 import msgspec
 
-__all__ = ["HOST", "MAX_BODY", "Answer", "Get", "LocalPage", "Post", "as_json", "open_browser"]
+__all__ = [
+    "HOST",
+    "MAX_BODY",
+    "Answer",
+    "Get",
+    "LocalPage",
+    "Post",
+    "as_json",
+    "new_secret",
+    "open_browser",
+    "path_within",
+]
 
 HOST = "127.0.0.1"
 # Bytes of what a page may send (choice: a hundred objects in a hundred cameras).
@@ -64,6 +75,12 @@ def as_json(value: object, status: int = 200, then: Callable[[], None] | None = 
     return Answer(msgspec.json.encode(value), "application/json", status, then)
 
 
+class Headers(Protocol):
+    """Of a request."""
+
+    def get(self, name: str, /) -> str | None: ...
+
+
 Get = Callable[[Mapping[str, str]], Answer]
 Post = Callable[[bytes], Answer]
 
@@ -86,7 +103,7 @@ class LocalPage:
     """
 
     def __init__(self, gets: Mapping[str, Get], posts: Mapping[str, Post], port: int = 0) -> None:
-        secret = secrets.token_urlsafe(24)
+        secret = new_secret()
         try:
             self._server = _Server((HOST, port), _Handler)
         except (OSError, OverflowError) as error:
@@ -140,14 +157,10 @@ class _Handler(BaseHTTPRequestHandler):
         """Nothing: the address is a secret."""
 
     def _answer(self, known: Mapping[str, Callable[[Any], Answer]], given: Callable[[], Any]) -> Answer:
-        port = self.server.server_address[1]
-        places = (f"{HOST}:{port}", f"localhost:{port}")
-        origin = self.headers.get("Origin")
-        if self.headers.get("Host") not in places or origin not in (None, *(f"http://{place}" for place in places)):
-            return _refused(403, "asked for by another name than this computer's own")
-        secret, _, path = urlsplit(self.path).path[1:].partition("/")
-        if not hmac.compare_digest(secret.encode(), self.server.secret.encode()):
-            return _refused(403, "the address is not the one that was printed")
+        try:
+            path = path_within(self.path, self.headers, self.server.secret, self.server.server_port)
+        except PermissionError as error:
+            return _refused(403, str(error))
         if path not in known:
             return _refused(404, "no such page")
         try:
@@ -185,6 +198,36 @@ class _Refused(Exception):
     def __init__(self, answer: Answer) -> None:
         super().__init__()
         self.answer = answer
+
+
+def new_secret() -> str:
+    """Part of an address that nobody can guess."""
+    return secrets.token_urlsafe(24)
+
+
+def path_within(asked: str, headers: Headers, secret: str, port: int, *, by_any_name: bool = False) -> str:
+    """The path below the secret of what was asked for, without its query.
+
+    Args:
+        asked: "/secret/path?query".
+        headers: of the request.
+        port: that the page listens at, on this computer.
+        by_any_name: the page listens elsewhere too, where it has names that are not known here.
+
+    Raises:
+        PermissionError: asked for by another name than this computer's own, from a page of somebody else, or without the
+            secret.
+    """
+    host, origin = headers.get("Host"), headers.get("Origin")
+    if (not by_any_name and host not in (f"{HOST}:{port}", f"localhost:{port}")) or origin not in (
+        None,
+        f"http://{host}",
+    ):
+        raise PermissionError("asked for by another name than this computer's own")
+    given, _, path = urlsplit(asked).path[1:].partition("/")
+    if not hmac.compare_digest(given.encode(), secret.encode()):
+        raise PermissionError("the address is not the one that was printed")
+    return path
 
 
 def open_browser(url: str) -> bool:

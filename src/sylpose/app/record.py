@@ -43,11 +43,15 @@ def write_record(
     text += f"calibration = {toml_string(str(session.calibration.resolve()))}\n"
     if noticed:
         text += f"noticed = [{', '.join(map(toml_string, noticed))}]\n"
+    if isinstance(session, Session) and session.rate is not None:
+        text += f"rate = {session.rate!r}\n"
     text += _table("options", {name: value for name, value in asked.items() if not isinstance(value, Mapping)})
     for name, value in asked.items():
         if isinstance(value, Mapping):
             text += _table(name, value)
     if isinstance(session, Session):
+        if session.timeline.offsets:
+            text += _table("frame_offsets", session.timeline.offsets)
         text += _table("cameras", {source.camera: str(source.path.resolve()) for source in session.sources})
         text += "\n# Of what the result depends on; images count by their names and sizes."
         text += _table("checksums", fingerprint(session))
