@@ -76,5 +76,6 @@ export const fixed = (value, digits) => (Number.isFinite(value) ? value.toFixed(
 export function digits3(value) {
   if (!Number.isFinite(value)) return "\u2013";
   if (value === 0) return "0";
+  if (Math.abs(value) < 1e-4) return value.toExponential(1).replaceAll("-", "\u2212");
   return fixed(value, Math.min(9, Math.max(0, 2 - Math.floor(Math.log10(Math.abs(value))))));
 }

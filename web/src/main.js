@@ -71,14 +71,20 @@ const time = (k) => (data.inSeconds ? `${fixed(data.time[k], 3)} s` : "");
 
 function facts(k) {
   if (!data.hasPose[k]) return [];
-  const sd = (j, factor, unit) => {
-    const value = data.sigma[6 * k + j];
-    return Number.isFinite(value) ? `sd ${digits3(value * factor)}${unit}` : "not bounded";
-  };
-  return ["x", "y", "z"].flatMap((axis, j) => [
-    [axis, `${fixed(data.place[3 * k + j] + data.center[j], precision)} ${data.unit}`, sd(3 + j, data.sd[0], ` ${data.sd[1]}`)],
-    [data.angles[j], `${fixed(data.angle[3 * k + j], 2)}\u00b0`, ""],
-  ]).concat([["turn", ["x", "y", "z"].map((_, j) => sd(j, 1, "\u00b0").replace("sd ", "")).join(", "), "sd about x, y, z"]]);
+  const axes = ["x", "y", "z"];
+  const sd = (j, factor) => (Number.isFinite(data.sigma[6 * k + j]) ? digits3(data.sigma[6 * k + j] * factor) : "not bounded");
+  const place = axes.map((axis, j) => [
+    axis, fixed(data.place[3 * k + j] + data.center[j], precision), sd(3 + j, data.sd[0]), sd(j, 1),
+  ]);
+  const turns = data.angles.map((name, j) => [name, fixed(data.angle[3 * k + j], 2)]);
+  return [
+    table(["", `position, ${data.unit}`, `sd, ${data.sd[1]}`, "sd of turn, \u00b0"], place), table(["", "angle, \u00b0"], turns),
+  ];
+}
+
+function table(head, rows) {
+  const line = (cells, name) => make("tr", {}, ...cells.map((cell, j) => make(j ? name : "th", {}, cell)));
+  return make("table", {}, make("thead", {}, line(head, "th")), make("tbody", {}, ...rows.map((row) => line(row, "td"))));
 }
 
 function tell(k) {
@@ -88,9 +94,7 @@ function tell(k) {
   $("at").replaceChildren(make("b", {}, `Frame ${data.index[k]}`), ` ${time(k)}`);
   $("status").textContent = status;
   $("status").className = `status ${data.kinds[k]}`;
-  $("now-facts").replaceChildren(
-    ...facts(k).flatMap(([name, value, more]) => [make("dt", {}, name), make("dd", {}, value, make("small", {}, more))]),
-  );
+  $("now-facts").replaceChildren(...facts(k));
   const why = [reason && `${reason[0].toUpperCase()}${reason.slice(1)}${/[.!?]$/.test(reason) ? "" : "."}`, fault].filter(Boolean);
   $("why").replaceChildren(...[text, ...why].map((sentence, i) => make("p", i ? { class: "reason" } : {}, sentence)));
   const said = $("view-said");

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from sylpose.numerics.angles import Angles
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.report.plots import angle_labels, angles_of_frames, camera_colors, readable
+from sylpose.report.plots import X_COLOR, Y_COLOR, Z_COLOR, angle_labels, angles_of_frames, camera_colors, readable
 from sylpose.report.scene import Scene, Stills
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Camera, Rig
@@ -89,7 +89,7 @@ def data_of(trajectory: Trajectory, scene: Scene, angles: Angles) -> dict[str, A
         "cameras": list(scene.cameras),
         "colors": camera_colors(cameras),
         "angles": [label for label, _ in angle_labels(angles)],
-        "angleColors": [color for _, color in angle_labels(angles)],
+        "angleAxes": [(X_COLOR, Y_COLOR, Z_COLOR).index(color) for _, color in angle_labels(angles)],
         "moved": [move_scale, move_unit],
         "sd": [sd_scale, sd_unit],
         "statuses": [[s.value, s.text, s.has_pose] for s in statuses],
