@@ -19,8 +19,8 @@ export function readData() {
   data.n = data.index.length;
   data.hasPose = Array.from({ length: data.n }, (_, k) => Number.isFinite(data.place[3 * k]));
   data.anyPose = data.hasPose.includes(true);
-  // Times as they are told: float32 would be too coarse for the seconds since 1970.
-  data.times = Array.from(data.time, (t) => data.start + t);
+  // Times as they are told; seconds since 1970, or long after whatever it was, since the first frame.
+  data.times = Array.from(data.time, (t) => data.start - data.since + t);
   data.kinds = Array.from(data.status, (s) => kindOf(data.statuses[s][0], data.statuses[s][2]));
   return data;
 }

@@ -67,7 +67,7 @@ for (const kind of Object.keys(names)) {
 
 // --- what is said of the current frame ---------------------------------------------------------------------------------
 const precision = Math.min(7, Math.max(0, 3 - Math.floor(Math.log10(Math.max(data.axisLength, 1e-9)))));
-const time = (k) => (data.inSeconds ? `${fixed(data.time[k], 3)} s` : "");
+const time = (k) => (data.inSeconds ? `${fixed(data.times[k], 3)} s` : "");
 
 function facts(k) {
   if (!data.hasPose[k]) return [];
@@ -162,9 +162,9 @@ slider.addEventListener("input", () => {
 addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.target.closest("input, select, textarea, summary, a")) return;
-  const step = { ArrowLeft: -1, ArrowRight: 1, PageUp: -10, PageDown: 10 }[event.key];
+  const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
   if (event.key === " " && !event.target.closest("button")) toggle();
-  else if (step && !event.key.startsWith("Page")) {
+  else if (step) {
     pause();
     go(current + step * (event.shiftKey ? 10 : 1));
   } else return;

@@ -131,7 +131,7 @@ export function makeViewer(box, data, images) {
     geometry.setAttribute("position", new Float32BufferAttribute(data.points.map((v) => v * scale), 3));
     geometry.setAttribute("color", new Float32BufferAttribute(data.points.length, 3));
     const material = new PointsMaterial({
-      size: 0.08 * radius, vertexColors: true, map: new CanvasTexture(dot), alphaTest: 0.5, transparent: true,
+      sizeAttenuation: false, vertexColors: true, map: new CanvasTexture(dot), alphaTest: 0.5, transparent: true,
     });
     cloud = new Points(geometry, material);
     object.add(cloud);
@@ -182,6 +182,10 @@ export function makeViewer(box, data, images) {
     waiting = true;
     requestAnimationFrame(() => {
       waiting = false;
+      if (cloud) {
+        const pixels = (0.08 * radius * canvas.clientHeight) / eye.position.distanceTo(object.position.setFromMatrixPosition(object.matrix));
+        cloud.material.size = Math.min(7, Math.max(2.8, pixels)) * renderer.getPixelRatio();
+      }
       renderer.render(world, eye);
       const { clientWidth: w, clientHeight: h } = canvas;
       for (const { element, at } of named) {
