@@ -44,7 +44,7 @@ def test_an_album_is_spread_evenly_and_bounded(n: int) -> None:
     for number, (first, second) in zip(stills.index, stills.images, strict=True):
         assert second is None
         assert first is not None
-        seen = cv2.imdecode(np.frombuffer(first, np.uint8), cv2.IMREAD_COLOR)
+        seen = np.asarray(cv2.imdecode(np.frombuffer(first, np.uint8), cv2.IMREAD_COLOR), float)
         assert abs(float(np.mean(seen)) - (number - 100) // 3 % 200) < 3
 
 
