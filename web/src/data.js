@@ -19,8 +19,8 @@ export function readData() {
   data.n = data.index.length;
   data.hasPose = Array.from({ length: data.n }, (_, k) => Number.isFinite(data.place[3 * k]));
   data.anyPose = data.hasPose.includes(true);
-  // Times as they are told: float32 would be too coarse for the seconds since 1970.
-  data.times = Array.from(data.time, (t) => data.start + t);
+  // Times as they are told; seconds since 1970, or long after whatever it was, since the first frame.
+  data.times = Array.from(data.time, (t) => data.start - data.since + t);
   data.kinds = Array.from(data.status, (s) => kindOf(data.statuses[s][0], data.statuses[s][2]));
   return data;
 }
@@ -76,5 +76,6 @@ export const fixed = (value, digits) => (Number.isFinite(value) ? value.toFixed(
 export function digits3(value) {
   if (!Number.isFinite(value)) return "\u2013";
   if (value === 0) return "0";
+  if (Math.abs(value) < 1e-4) return value.toExponential(1).replaceAll("-", "\u2212");
   return fixed(value, Math.min(9, Math.max(0, 2 - Math.floor(Math.log10(Math.abs(value))))));
 }

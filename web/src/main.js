@@ -67,18 +67,24 @@ for (const kind of Object.keys(names)) {
 
 // --- what is said of the current frame ---------------------------------------------------------------------------------
 const precision = Math.min(7, Math.max(0, 3 - Math.floor(Math.log10(Math.max(data.axisLength, 1e-9)))));
-const time = (k) => (data.inSeconds ? `${fixed(data.time[k], 3)} s` : "");
+const time = (k) => (data.inSeconds ? `${fixed(data.times[k], 3)} s` : "");
 
 function facts(k) {
   if (!data.hasPose[k]) return [];
-  const sd = (j, factor, unit) => {
-    const value = data.sigma[6 * k + j];
-    return Number.isFinite(value) ? `sd ${digits3(value * factor)}${unit}` : "not bounded";
-  };
-  return ["x", "y", "z"].flatMap((axis, j) => [
-    [axis, `${fixed(data.place[3 * k + j] + data.center[j], precision)} ${data.unit}`, sd(3 + j, data.sd[0], ` ${data.sd[1]}`)],
-    [data.angles[j], `${fixed(data.angle[3 * k + j], 2)}\u00b0`, ""],
-  ]).concat([["turn", ["x", "y", "z"].map((_, j) => sd(j, 1, "\u00b0").replace("sd ", "")).join(", "), "sd about x, y, z"]]);
+  const axes = ["x", "y", "z"];
+  const sd = (j, factor) => (Number.isFinite(data.sigma[6 * k + j]) ? digits3(data.sigma[6 * k + j] * factor) : "not bounded");
+  const place = axes.map((axis, j) => [
+    axis, fixed(data.place[3 * k + j] + data.center[j], precision), sd(3 + j, data.sd[0]), sd(j, 1),
+  ]);
+  const turns = data.angles.map((name, j) => [name, fixed(data.angle[3 * k + j], 2)]);
+  return [
+    table(["", `position, ${data.unit}`, `sd, ${data.sd[1]}`, "sd of turn, \u00b0"], place), table(["", "angle, \u00b0"], turns),
+  ];
+}
+
+function table(head, rows) {
+  const line = (cells, name) => make("tr", {}, ...cells.map((cell, j) => make(j ? name : "th", {}, cell)));
+  return make("table", {}, make("thead", {}, line(head, "th")), make("tbody", {}, ...rows.map((row) => line(row, "td"))));
 }
 
 function tell(k) {
@@ -88,9 +94,7 @@ function tell(k) {
   $("at").replaceChildren(make("b", {}, `Frame ${data.index[k]}`), ` ${time(k)}`);
   $("status").textContent = status;
   $("status").className = `status ${data.kinds[k]}`;
-  $("now-facts").replaceChildren(
-    ...facts(k).flatMap(([name, value, more]) => [make("dt", {}, name), make("dd", {}, value, make("small", {}, more))]),
-  );
+  $("now-facts").replaceChildren(...facts(k));
   const why = [reason && `${reason[0].toUpperCase()}${reason.slice(1)}${/[.!?]$/.test(reason) ? "" : "."}`, fault].filter(Boolean);
   $("why").replaceChildren(...[text, ...why].map((sentence, i) => make("p", i ? { class: "reason" } : {}, sentence)));
   const said = $("view-said");
@@ -158,9 +162,9 @@ slider.addEventListener("input", () => {
 addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.target.closest("input, select, textarea, summary, a")) return;
-  const step = { ArrowLeft: -1, ArrowRight: 1, PageUp: -10, PageDown: 10 }[event.key];
+  const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
   if (event.key === " " && !event.target.closest("button")) toggle();
-  else if (step && !event.key.startsWith("Page")) {
+  else if (step) {
     pause();
     go(current + step * (event.shiftKey ? 10 : 1));
   } else return;

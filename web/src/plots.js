@@ -26,7 +26,7 @@ export function makePlots(box, data, onPick) {
     moved.forEach((s, j) => (s.sigma = column(data.sigma, 6, 3 + j, 2 * both)));
     add("Position since the start", data.moved[1], moved);
     const turns = data.angles.map((name, j) => ({
-      name, color: () => readable(data.angleColors[j]), values: column(data.angle, 3, j), round: true,
+      name, color: () => css(`--${AXES[data.angleAxes[j]]}`), values: column(data.angle, 3, j), round: true,
     }));
     const total = { name: "total turn", color: () => css("--ink"), values: column(data.turn, 1, 0), dash: [5, 4], thin: true };
     add("Angles", "degrees", [...turns, total]);
@@ -145,7 +145,8 @@ export function makePlots(box, data, onPick) {
     return (u, s, first, last, gaps) => {
       const own = [];
       for (let k = Math.max(1, first); k <= last; k++) {
-        if (jumps[k]) own.push([0, -1].map((d) => Math.round(u.valToPos(data.times[k + (d || 0)], "x", true))).reverse());
+        // At least two pixels wide: frames may be nearer to each other than that.
+        if (jumps[k]) own.push([-1, 0].map((d) => Math.round(u.valToPos(data.times[k + d], "x", true)) + 2 * d + 1));
       }
       return [...gaps, ...own].sort((a, b) => a[0] - b[0]);
     };

@@ -39,6 +39,7 @@ export function makeViewer(box, data, images) {
   controls.enableZoom = false;
   canvas.addEventListener("focus", () => (controls.enableZoom = true));
   canvas.addEventListener("blur", () => (controls.enableZoom = false));
+  canvas.style.touchAction = "pan-y"; // so that a finger can scroll past it
   canvas.addEventListener("pointerdown", () => canvas.focus({ preventScroll: true }));
 
   const named = [];
@@ -92,7 +93,7 @@ export function makeViewer(box, data, images) {
     const o = eyes[c];
     const edges = [o, a, o, b, o, d, o, e, a, b, b, d, d, e, e, a];
     world.add(lines(edges, 1.8, () => readable(data.colors[c])));
-    const behind = new Vector3(data.looks[3 * c], data.looks[3 * c + 1], data.looks[3 * c + 2]).multiplyScalar(-0.05);
+    const behind = new Vector3(data.looks[3 * c], data.looks[3 * c + 1], data.looks[3 * c + 2]).multiplyScalar(-0.02);
     label(name, o.clone().add(behind), "camera", c);
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new Float32BufferAttribute([a, e, d, a, d, b].flatMap((p) => p.toArray()), 3));
@@ -130,8 +131,7 @@ export function makeViewer(box, data, images) {
     geometry.setAttribute("position", new Float32BufferAttribute(data.points.map((v) => v * scale), 3));
     geometry.setAttribute("color", new Float32BufferAttribute(data.points.length, 3));
     const material = new PointsMaterial({
-      size: 3.4 * renderer.getPixelRatio(), sizeAttenuation: false, vertexColors: true, map: new CanvasTexture(dot),
-      alphaTest: 0.5, transparent: true,
+      sizeAttenuation: false, vertexColors: true, map: new CanvasTexture(dot), alphaTest: 0.5, transparent: true,
     });
     cloud = new Points(geometry, material);
     object.add(cloud);
@@ -182,19 +182,23 @@ export function makeViewer(box, data, images) {
     waiting = true;
     requestAnimationFrame(() => {
       waiting = false;
+      if (cloud) {
+        const pixels = (0.08 * radius * canvas.clientHeight) / eye.position.distanceTo(object.position.setFromMatrixPosition(object.matrix));
+        cloud.material.size = Math.min(7, Math.max(2.8, pixels)) * renderer.getPixelRatio();
+      }
       renderer.render(world, eye);
       const { clientWidth: w, clientHeight: h } = canvas;
       for (const { element, at } of named) {
         const p = at.clone().project(eye);
         element.hidden = p.z > 1 || Math.abs(p.x) > 1.05 || Math.abs(p.y) > 1.05;
-        element.style.transform = `translate(-50%, -50%) translate(${(0.5 + 0.5 * p.x) * w}px, ${(0.5 - 0.5 * p.y) * h}px)`;
+        element.style.transform = `translate(-50%, -130%) translate(${(0.5 + 0.5 * p.x) * w}px, ${(0.5 - 0.5 * p.y) * h}px)`;
       }
     });
   }
   controls.addEventListener("change", draw);
 
   function fit(view = "all") {
-    const back = ahead.clone().multiplyScalar(-0.86).addScaledVector(right, 0.42).addScaledVector(up, 0.62);
+    const back = ahead.clone().multiplyScalar(-0.8).addScaledVector(right, 0.36).addScaledVector(up, 0.88);
     if (view === "above") back.copy(up).addScaledVector(ahead, -1e-3);
     back.normalize();
     const near = view === "object" && places[current];

@@ -16,6 +16,7 @@ from sylpose.app.state import OutputState
 from sylpose.app.tracks import FrameFile
 from sylpose.files import output_folder
 from sylpose.numerics.angles import PAN_TILT_ROLL, Angles
+from sylpose.reading import MAX_TABLE
 from sylpose.report.files import TrajectoryWriter, write_trajectory
 from sylpose.report.formats import PAGE
 from sylpose.results import FramePose, Status, Trajectory
@@ -185,7 +186,7 @@ class ObjectOutput:
                 from sylpose.report.plots import plot_trajectory
 
                 plot_trajectory(self._whole, self.report_path, note=self._note, angles=self._angles or PAN_TILT_ROLL)
-                if self._album is not None:
+                if self._album is not None and self._named(RESULT)[1].stat().st_size <= MAX_TABLE:
                     from sylpose.app.page import make_page
 
                     make_page(self.folder, self._album.stills())

@@ -83,7 +83,7 @@ def _head(folder: Path, trajectory: Trajectory, settings: Mapping[str, Any]) -> 
         version=__version__,
         facts=facts,
         settings=_told(settings),
-        noticed=[str(said) for said in settings.get("noticed", ())],
+        noticed=[str(said) for said in noticed] if isinstance(noticed := settings.get("noticed"), list) else [],
         cameras=text.per_camera(trajectory),
         videos=_videos(root, "" if root == folder else "../"),
     )

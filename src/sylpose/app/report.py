@@ -57,13 +57,11 @@ def _images_again(folder: Path) -> tuple[Stills, str]:
         session = _recording(folder, settings)
     except (ValueError, OSError) as error:
         return Stills(), f"{folder}: a page without images: {error}"
-    options = table(settings, "options")
-    album, (start, every) = (
-        Album(len(session.rig)),
-        (int(options.get(name, n)) for name, n in (("start", 0), ("every", 1))),
-    )
-    stop = options.get("stop")
-    for frames in session.frames(start, None if stop is None else int(stop), every, lambda _: None):
+    options, album = table(settings, "options"), Album(len(session.rig))
+    start, every, stop = (options.get(name) for name in ("start", "every", "stop"))
+    if not all(isinstance(number, int | None) for number in (start, every, stop)):
+        raise ValueError(f"{root_of(folder) / SETTINGS}: start, stop and every must be whole numbers")
+    for frames in session.frames(start or 0, stop, every or 1, lambda _: None):
         album.put(frames)
     return album.stills(), ""
 
@@ -75,7 +73,7 @@ def _recording(folder: Path, settings: Mapping[str, Any]) -> Session:
         ValueError, OSError: it is not there any more, or not as it was.
     """
     cameras, sums = table(settings, "cameras"), table(settings, "checksums")
-    if not cameras or not sums:
+    if not cameras or not sums or "recording" not in settings:
         raise ValueError(f"{SETTINGS} does not say of which files the run was")
     session = open_session(
         Path(str(settings["recording"])),

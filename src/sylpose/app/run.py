@@ -317,9 +317,9 @@ def _note(session: Session | LiveSession, name: str, method: str, smooth: bool) 
 
 def _noticed(session: Session | LiveSession, start: int) -> list[str]:
     """What looks wrong before the run."""
-    from sylpose.app.check import axes_miss, concerns
+    from sylpose.app.check import concerns
 
-    return [said for said in (*concerns(session, start), axes_miss(session.rig)) if said]
+    return concerns(session, start)
 
 
 def _refuse(distributed: str, session: Session | LiveSession, *, resume: bool, known: bool) -> None:

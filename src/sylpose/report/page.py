@@ -99,7 +99,7 @@ def page_of(trajectory: Trajectory, scene: Scene, rig: Rig, angles: Angles, head
         facts="".join(f"<div><dt>{_text(label)}</dt><dd>{_text(words)}</dd></div>" for label, words in head.facts),
         notices=_notices(trajectory, head, failed=failed),
         videos=_videos(head.videos),
-        time_axis="seconds" if data["inSeconds"] else "frames",
+        time_axis=_time_axis(data),
         statuses=_statuses(trajectory),
         cameras="".join(_row(row, numbers=len(row) - 1) for row in head.cameras),
         settings=_settings(head.settings or {}),
@@ -107,6 +107,12 @@ def page_of(trajectory: Trajectory, scene: Scene, rig: Rig, angles: Angles, head
         data=_json(data),
         images=_json(images),
     )
+
+
+def _time_axis(data: Mapping[str, Any]) -> str:
+    if not data["inSeconds"]:
+        return "frames"
+    return f"seconds since {data['since']:.3f}" if data["since"] else "seconds"
 
 
 def _notices(trajectory: Trajectory, head: Head, *, failed: bool) -> str:

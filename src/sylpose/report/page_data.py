@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from sylpose.numerics.angles import Angles
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.report.plots import angle_labels, angles_of_frames, camera_colors, readable
+from sylpose.report.plots import X_COLOR, Y_COLOR, Z_COLOR, angle_labels, angles_of_frames, camera_colors, readable
 from sylpose.report.scene import Scene, Stills
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Camera, Rig
@@ -26,6 +26,8 @@ MOST_IMAGE_BYTES, MOST_VALUES, MOST_FRAMES = 3_200_000, 200_000, 2000
 MOST_POINTS, MOST_IMAGE_POINTS = 6000, 480
 # Different sentences of reasons and of faults that are told frame by frame.
 MOST_SENTENCES = 300
+# Times that begin beyond this are told since the first of them, seconds: a day and more is a clock's (choice).
+LATE = 1e5
 # Points of an axis that is drawn into an image, which lenses bend.
 AXIS = 5
 # In images, fractions of width and height are whole numbers of so many; without a place they are `NOWHERE`.
@@ -64,7 +66,7 @@ def data_of(trajectory: Trajectory, scene: Scene, angles: Angles) -> dict[str, A
     frames = [trajectory[int(k)] for k in chosen]
     shown = Trajectory(frames, trajectory.camera_names, trajectory.unit)
     poses = scene.world_from_object[chosen]
-    solved = trajectory.solved
+    solved, start_time = trajectory.solved, float(trajectory.times[0])
     start = trajectory.positions[solved][0] if solved.any() else scene.center
     moved = float(np.abs(trajectory.positions[solved] - start).max(initial=0.0))
     move_scale, move_unit = readable(moved, trajectory.unit)
@@ -89,14 +91,15 @@ def data_of(trajectory: Trajectory, scene: Scene, angles: Angles) -> dict[str, A
         "cameras": list(scene.cameras),
         "colors": camera_colors(cameras),
         "angles": [label for label, _ in angle_labels(angles)],
-        "angleColors": [color for _, color in angle_labels(angles)],
+        "angleAxes": [(X_COLOR, Y_COLOR, Z_COLOR).index(color) for _, color in angle_labels(angles)],
         "moved": [move_scale, move_unit],
         "sd": [sd_scale, sd_unit],
         "statuses": [[s.value, s.text, s.has_pose] for s in statuses],
         "reasons": reasons[0],
         "faults": faults[0],
         "index": _packed([f.index for f in frames], "i"),
-        "start": float(trajectory.times[0]),
+        "start": start_time,
+        "since": start_time if abs(start_time) > LATE else 0.0,
         "time": _packed(shown.times - trajectory.times[0]),
         "place": _packed(poses[:, :3, 3] - scene.center),
         "begin": (start - scene.center).tolist(),

@@ -24,6 +24,9 @@ from sylpose.report.disagreement import disagreements, remarks
 from sylpose.results import FrameStatus, Observable, Trajectory
 
 __all__ = [
+    "X_COLOR",
+    "Y_COLOR",
+    "Z_COLOR",
     "angle_labels",
     "angles_of_frames",
     "camera_colors",
