@@ -23,7 +23,7 @@ from sylpose.two_frames.rivals import LESS_LIKELY, second_planes, strongest_riva
 from sylpose.two_frames.robust_fit import Settled, Uniform, fitted
 from sylpose.two_frames.standing import LARGER, LIKELIER, hidden, parted, some_move
 from sylpose.two_frames.terms import Joined, Stack, TermData, copy_into, guesses_of, stack_terms
-from sylpose.two_frames.valley import bend, less_certain
+from sylpose.two_frames.valley import bend, far_along, less_certain, taken_in
 from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
 
 __all__ = ["FAR_PX", "fit_apart", "fit_terms"]
@@ -38,6 +38,8 @@ CONVERGED = 0.5
 DOUBT = 0.5
 # Where a motion may be larger by this factor, most of the matches standing still, it is not known (choice).
 HARDLY = 3.0
+# With fewer inliers, or where it is hardly seen, a motion has to lead to itself (choice).
+FEW_INLIERS = 50
 
 
 def fit_terms(
@@ -168,13 +170,22 @@ def _answer(
         information, without_depth = less_certain(information, bent), less_certain(without_depth, bent)
         still = stands_still(stack, found, information)
     other = None
+    doubtful = (checks.bent or checks.inliers < FEW_INLIERS) and not checks.parted
     if still:
         if some_move(stack, usable, found) or strongest_rival(found, minima, information, radius) is not None:
             return no_fit(data, Status.MOSTLY_STILL)
         status, rotation, shift, larger = Status.NO_MOTION, np.eye(3), np.zeros(3), LARGER[-1]
     elif larger >= HARDLY:
         return no_fit(data, Status.MOSTLY_STILL)
-    elif rod is None and checks.rivalled:
+    elif rod is None and (checks.rivalled or doubtful):
+        for step, dearer in far_along(stack, having, found, radius, float(minima.costs.min())) if doubtful else []:
+            column = taken_in(information, step, dearer)
+            information, without_depth = less_certain(information, column), less_certain(without_depth, column)
+        if doubtful:
+            again = _led_to(stack, having, found)
+            if again is None:
+                return no_fit(data, Status.NOT_CONVERGED)
+            minima = together(minima, again._replace(costs=minima.costs.min(keepdims=True)))
         rival = strongest_rival(found, minima, information, radius)
         if rival is not None and rival.far:
             other = (rival.rotation, rival.shift)
@@ -223,6 +234,21 @@ def _least_turned(
     again.candidate.rotation[:] = (about.inv() * turn).as_matrix()
     _, promise, cost_again = reweight(stack, usable, again, SIGMA_FLOOR_PX)
     return (again, float(promise)) if cost_again < cost + LESS_LIKELY else None
+
+
+def _led_to(stack: Stack, having: FloatArray, found: Reweighted) -> Settled | None:
+    """Where a motion leads to with all else as it is believed before anything is measured; None where that is nowhere.
+
+    What does not lead to itself rests on surfaces and weights that chance, or another motion, has left.
+    """
+    again = nothing_yet(stack)
+    again.candidate.rotation[:], again.candidate.shift[:] = found.candidate.rotation, found.candidate.shift
+    again.sigma_px[:] = found.sigma_px
+    _, _, cost = reweight(stack, having, again, SIGMA_FLOOR_PX)
+    if not cost < np.inf:
+        return None
+    rotation, shift = again.candidate.rotation[None], again.candidate.shift[None]
+    return Settled(rotation, shift, np.array([cost]), np.array([float((found.weights > 0.0).sum())]))
 
 
 @kernel
