@@ -92,6 +92,8 @@ def check(
     information = known * without(found.information, found.noise, 2.0)
     without_depth = known * without(found.without_depth, found.noise, 2.0)
     bent = unless_straight(found, radius) > 0.0
+    unsure = bent or parted
+    mixed = is_mixed(*alike(stack, found), unsure)
     return Checks(
         inliers,
         finite,
@@ -104,7 +106,7 @@ def check(
         bent,
         stands_still(stack, found, information),
         has_likely(costs, counts),
-        is_mixed(*alike(stack, found), bent),
+        mixed,
         at_ease(stack.x, stack.y, stack.offsets, found.weights, found.across, stack.focal),
         known,
         information,
