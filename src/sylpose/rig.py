@@ -265,10 +265,18 @@ class Rig:
         if self.unit not in METRES:
             its = f"in {shown(self.unit)}" if self.unit else "in a unit that it does not say"
             raise ValueError(f"unit: the calibration is {its}, which cannot be told in {unit}")
-        scale = METRES[self.unit] / METRES[unit]
+        return self if unit == self.unit else self.scaled(METRES[self.unit] / METRES[unit], unit)
+
+    def scaled(self, factor: float, unit: str) -> Rig:
+        """The same rig with its lengths multiplied by a factor, and another name for their unit.
+
+        Raises:
+            TypeError, ValueError: a factor that is no positive number, a unit that is no word.
+        """
+        factor = number(factor, "factor", above=0.0)
         poses = [camera.camera_from_world for camera in self]
-        moved = [RigidTransform.from_components(scale * pose.translation, pose.rotation) for pose in poses]
-        return self if unit == self.unit else self._standing(moved, unit)
+        moved = [RigidTransform.from_components(factor * pose.translation, pose.rotation) for pose in poses]
+        return self._standing(moved, kind_of(unit, str, "unit"))
 
     def in_world(self, new_from_world: RigidTransform) -> Rig:
         """The same rig told in another world; a pose `world_from_object` in it is then `new_from_world * world_from_object`.
@@ -360,9 +368,11 @@ def camera_at(
     focal: float,
     size: tuple[int, int],
     distortion: ArrayLike = (),
+    *,
+    down: ArrayLike = (0.0, 1.0, 0.0),
 ) -> Camera:
-    """A camera at `center` (3,) that looks at `target` (3,), upright (its y axis as near to the world's as can be),
-    with the principal point in the image's middle.
+    """A camera at `center` (3,) that looks at `target` (3,), upright (its y axis as near to `down` (3,) as can be), with the
+    principal point in the image's middle.
 
     Raises:
         ValueError: a centre that is the target, or anything that `Camera` refuses.
@@ -375,9 +385,10 @@ def camera_at(
     if not np.linalg.norm(forward) > 0:
         raise ValueError(f"camera {name}: it stands at the point that it looks at")
     forward = forward / np.linalg.norm(forward)
-    right = np.cross([0.0, 1.0, 0.0], forward)
+    right = np.cross(finite(down, (3,), "down"), forward)
     if np.linalg.norm(right) < 1e-9:  # straight up or down: any roll is as good
-        right = np.array([1.0, 0.0, 0.0])
+        right = np.eye(3)[np.abs(forward).argmin()]
+        right = right - (right @ forward) * forward
     right = right / np.linalg.norm(right)
     rotation = Rotation.from_matrix(np.stack([right, np.cross(forward, right), forward]))
     matrix = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])

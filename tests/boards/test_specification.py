@@ -7,7 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from sylpose.boards.specification import EXAMPLES, length_of, parse_board
+from sylpose.boards.specification import EXAMPLES, parse_board
+from sylpose.units import length_of
 
 
 @pytest.mark.parametrize("text", EXAMPLES)

@@ -18,9 +18,8 @@ from sylpose.rig import Camera, Rig
 
 __all__ = ["Sighting", "find_board", "joined"]
 
-# Of a target that several cameras see, distances as they see them, by those that were given, may be off by this share
-# (choice: a printer's scaling is a few percent, a wrong unit a factor).
-SIZE_OFF = 0.05
+# A size that is known less surely than to this share is not told (choice: a printer's scaling is a few percent).
+SIZE_KNOWN = 0.0125
 # Two cameras' rays that miss each other by more, pixels, are of no common point; their points are as good as this (choice).
 MISSED_PX, USUAL_PX = 5.0, 0.5
 # Points around a circle that stand for it (choice).
@@ -40,6 +39,8 @@ class Sighting:
         motion: world_from_board with its status and covariance, as `estimate_pose` has it.
         alike: how many turns of the target look the same; beyond 1, the one that was taken is a choice: that whose x axis is
             most to the right in the image of the first camera that sees it.
+        size: how large it is by where the rays of two cameras meet, as a share of how large it was said to be; None where
+            nothing tells.
         problems: sentences on what looks wrong.
     """
 
@@ -47,6 +48,7 @@ class Sighting:
     pixels: tuple[FloatArray, ...]
     motion: Motion
     alike: int
+    size: float | None
     problems: tuple[str, ...]
 
     @property
@@ -102,8 +104,9 @@ def joined(rig: Rig, seen: Sequence[Detection], board: Board, *, seed: int = 0) 
         )
         motion = estimate_pose(rig, points, pixels, seed=seed)
     problems = [f"{rig.names[c]}: {its.problem}" for c, its in enumerate(seen) if its.problem]
-    problems += _wrong(rig, seen, board, points, pixels, motion)
-    return Sighting(points, pixels, motion, len(board.alike), tuple(problems))
+    size = _size_seen(rig, seen, board)
+    problems += _elsewhere(rig, points, pixels, motion)
+    return Sighting(points, pixels, motion, len(board.alike), size, tuple(problems))
 
 
 def _matches(
@@ -160,21 +163,8 @@ def _chosen(seen: Sequence[Detection], board: Board, turns: Mapping[int, IntArra
     return {c: best[turn] for c, turn in turns.items()}
 
 
-def _wrong(
-    rig: Rig,
-    seen: Sequence[Detection],
-    board: Board,
-    points: Sequence[FloatArray],
-    pixels: Sequence[FloatArray],
-    motion: Motion,
-) -> list[str]:
-    """Sentences on a target of another size than was given, and on cameras that see it elsewhere than the others."""
-    ratio = _size_seen(rig, seen, board)
-    if ratio is not None and abs(np.log(ratio)) > SIZE_OFF:
-        return [
-            f"the cameras see it {ratio:.3g} times as large as {board.text} says: a length in it, or the unit of the "
-            "calibration, is another"
-        ]
+def _elsewhere(rig: Rig, points: Sequence[FloatArray], pixels: Sequence[FloatArray], motion: Motion) -> list[str]:
+    """A sentence on each camera that sees the target elsewhere than the others."""
     found = []
     for camera, where, its in zip(rig, points, pixels, strict=True):
         if motion.motion is not None and len(its):
@@ -186,8 +176,7 @@ def _wrong(
 
 
 def _size_seen(rig: Rig, seen: Sequence[Detection], board: Board) -> float | None:
-    """How large the target is by where the rays of two cameras meet, the median over pairs, as a share of how large it was
-    said to be; None where nothing tells."""
+    """As `Sighting` has it, the median over pairs of cameras."""
     ratios = []
     with_points = [c for c, its in enumerate(seen) if len(its.numbers)]
     for i, a in enumerate(with_points):
@@ -195,7 +184,7 @@ def _size_seen(rig: Rig, seen: Sequence[Detection], board: Board) -> float | Non
             pair = (rig.cameras[a], rig.cameras[b])
             met = [_met(pair, seen[a], seen[b], way) for way in board.alike]
             miss, points, numbers, doubt = min(met, key=lambda its: its[0])
-            if miss > MISSED_PX or len(numbers) < 3 or doubt > SIZE_OFF / 4.0:
+            if miss > MISSED_PX or len(numbers) < 3 or doubt > SIZE_KNOWN:
                 continue
             spreads = [np.linalg.norm(x - x.mean(axis=0)) for x in (points, board.points[numbers])]
             ratios.append(float(spreads[0] / spreads[1]))

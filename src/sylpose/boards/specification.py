@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.reading import one_line
-from sylpose.units import METRES
+from sylpose.units import length_of
 
-__all__ = ["EXAMPLES", "Board", "length_of", "parse_board"]
+__all__ = ["EXAMPLES", "Board", "is_board", "parse_board"]
 
 # One of each kind, as it is typed.
 EXAMPLES = (
@@ -39,8 +39,8 @@ DICTIONARIES = {
         *(f"APRILTAG_{family}" for family in ("16h5", "25h9", "36h10", "36h11")),
     )
 }
-# No target has more points a side; none of its lengths is smaller or larger (choice).
-MOST_A_SIDE, LEAST, LARGEST = 100, 1e-9, 1e9
+# No target has more points a side (choice).
+MOST_A_SIDE = 100
 MOST_TAGS = 10_000
 
 
@@ -75,6 +75,12 @@ class Board:
     diameter: float = 0.0
 
 
+def is_board(text: str) -> bool:
+    """Whether a text is a description of a target, right or wrong."""
+    kind, colon, _ = text.partition(":")
+    return bool(colon) and kind.strip().lower() in _KINDS
+
+
 def parse_board(text: str, unit: str = "") -> Board:
     """A target as users describe it; `EXAMPLES` has one of each kind.
 
@@ -85,9 +91,9 @@ def parse_board(text: str, unit: str = "") -> Board:
     Raises:
         ValueError: in one sentence, what of the description is wrong, and what was expected.
     """
-    kind, colon, rest = text.partition(":")
+    kind, _, rest = text.partition(":")
     kind = kind.strip().lower()
-    if not colon or kind not in _KINDS:
+    if not is_board(text):
         examples = "; ".join(EXAMPLES)
         raise ValueError(f"{_shown(text)} is no board or marker: expected is one such as {examples}")
     what, *settings = [part.strip() for part in rest.split(",")]
@@ -107,30 +113,6 @@ def parse_board(text: str, unit: str = "") -> Board:
         example = next(e for e in EXAMPLES if e.startswith(f"{kind}:"))
         raise ValueError(f"{_shown(text)}: {error}; expected is one such as {example}") from None
     return board
-
-
-def length_of(text: str, name: str, unit: str) -> float:
-    """A length as users type it, `0.04` or `40mm`, in `unit`.
-
-    Raises:
-        ValueError: naming it: no positive number, a unit that is not known, or one that cannot be told in `unit`.
-    """
-    found = re.fullmatch(r"([0-9.eE+-]+)\s*([A-Za-z]*)", text.strip())
-    try:
-        value = float(found[1]) if found else np.nan
-    except ValueError:
-        value = np.nan
-    if found is None or not LEAST <= value <= LARGEST:
-        raise ValueError(f"{name} must be a positive length such as 0.04 or 40mm, got {_shown(text)}")
-    if not found[2]:
-        return value
-    if found[2] not in METRES:
-        raise ValueError(f"{name}: {_shown(found[2])} is no unit of length ({', '.join(METRES)})")
-    if unit not in METRES:
-        raise ValueError(
-            f"{name} is in {found[2]}, but the calibration does not say its own unit: give it in that, without a name"
-        )
-    return value * METRES[found[2]] / METRES[unit]
 
 
 class _Asked:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Camera, LensModel, Rig
 
-__all__ = ["convert", "make_camera", "make_pose", "make_rig"]
+__all__ = ["convert", "make_camera", "make_pose", "make_rig", "rigid"]
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -88,7 +88,11 @@ def make_pose(path: Path, name: str, rotation: Any, translation: Any) -> RigidTr
         ValueError: naming file and camera, for a wrong shape, a value that is not finite, or a matrix that is not
             a rotation to 1e-3.
     """
-    where = f"{path}: camera {name}"
+    return rigid(f"{path}: camera {name}", rotation, translation)
+
+
+def rigid(where: str, rotation: Any, translation: Any) -> RigidTransform:
+    """The same of anything; sentences begin with `where`."""
     r = _array(rotation, f"{where}: the rotation")
     t = _array(translation, f"{where}: the translation")
     if t.size != 3:
