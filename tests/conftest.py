@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +15,7 @@ from hypothesis import settings
 from matplotlib.figure import Figure
 
 from sylpose.simulate import demo_scene, write_sequence
+from tests.browser import started
 
 # The same examples in every run: what fails fails again. No deadline: machines are shared.
 settings.register_profile("seeded", derandomize=True, deadline=None)
@@ -47,3 +50,10 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
         Path(path).write_bytes(pixel)
 
     monkeypatch.setattr(Figure, "savefig", savefig)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless browser (tests/browser.py); skips where there is none."""
+    with started() as browser:
+        yield browser

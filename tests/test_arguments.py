@@ -263,6 +263,11 @@ def calls() -> dict[str, Call]:
         "Rig.subset": Call(three.subset, {"names": ["cam_0", "cam_2"]}, said="no camera"),
         "Trajectory": Call(sylpose.Trajectory, {"frames": [pose, pose], "camera_names": ["a", "b"], "unit": "m"}),
         "FramePose.judged": Call(pose.judged, {}),
+        "FramePose.of_frame": Call(pose.of_frame, {"new_from_object": RigidTransform.identity()}),
+        "KnownObject.in_frame": Call(
+            sylpose.KnownObject(three, 0.1, "a", points, (), {}).in_frame,
+            {"new_from_object": RigidTransform.identity(), "sd": np.ones(6), "said": "by hand"},
+        ),
         "FrameSet.of": Call(frames[0].of, {"name": "a"}),
         "Box": Call(sylpose.Box, {"x": 1.0, "y": 2.0, "width": 3.0, "height": 4.0}),
         "view_of_motion": Call(view.view_of_motion, {"motion": found, "camera": camera, "rig": three}, said="camera"),

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from sylpose.rig import Camera, Rig
     from sylpose.tracking.frame import Sought
     from sylpose.tracking.joint import Nudge
-    from sylpose.tracking.known_object import KnownObject
+    from sylpose.tracking.known_object import KnownObject, ObjectFrame
     from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
     from sylpose.tracking.tracker import track
     from sylpose.two_frames.motion import estimate_motion, estimate_motions
@@ -85,6 +85,7 @@ __all__ = [
     "Motion",
     "MotionView",
     "Nudge",
+    "ObjectFrame",
     "Observable",
     "OneCameraSolution",
     "PairMoments",
@@ -160,7 +161,7 @@ _HOMES = {
     "sylpose.results": ("FramePose", "FrameStatus", "Motion", "Observable", "RotationEstimate", "Status", "Trajectory"),
     "sylpose.rig": ("Camera", "Rig"),
     "sylpose.tracking.joint": ("Nudge",),
-    "sylpose.tracking.known_object": ("KnownObject",),
+    "sylpose.tracking.known_object": ("KnownObject", "ObjectFrame"),
     "sylpose.tracking.frame": ("Sought",),
     "sylpose.tracking.tracked_frame": ("Sightings", "TrackedFrame"),
     "sylpose.tracking.tracker": ("track",),

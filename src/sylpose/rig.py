@@ -16,6 +16,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.checked import finite, finite_rows, items, kind_of, listed, number, real, rows, shown, whole
 from sylpose.numerics.lens import TERMS, projected
 from sylpose.reading import one_line
+from sylpose.told import Telling, Told, named, place_told, vector
 from sylpose.units import METRES
 
 __all__ = ["Camera", "Rig", "nearest_point_to_rays"]
@@ -38,8 +39,8 @@ GRID_PX = 1.0 / 128.0
 _undistort: Any = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
 
 
-@dataclass(frozen=True, eq=False)
-class Camera:
+@dataclass(frozen=True, eq=False, repr=False)
+class Camera(Told):
     """One calibrated, static camera.
 
     Attributes:
@@ -146,6 +147,12 @@ class Camera:
         """(3,) unit vector, the optical axis in the world."""
         return np.asarray(self.rotation[2])
 
+    def _told(self) -> Telling:
+        image = f"{self.size[0]} x {self.size[1]} pixels, focal length {self.focal:.0f}"
+        lens = f"{self.lens} {vector(self.distortion, 4)}" if self.distortion.any() else "no distortion"
+        place = f"at {place_told(self.center)}, looking along {vector(self.direction)}"
+        return Telling(f"{self.name}, {image}", [("image", image), ("lens", lens), ("stands", place)])
+
     def normalize(self, pixels: ArrayLike) -> FloatArray:
         """Undistort: pixels (n, 2) of the image as recorded -> normalised points (n, 2) on the plane z = 1."""
         # Contiguous: OpenCV's fisheye functions ignore strides.
@@ -201,8 +208,8 @@ class Camera:
         return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
-@dataclass(frozen=True, eq=False)
-class Rig:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rig(Told):
     """All cameras, in a fixed order.
 
     Args:
@@ -238,6 +245,10 @@ class Rig:
             raise KeyError(f"no camera {shown(name)} in the rig ({one_line(', '.join(self.names), 200)})")
         return self.cameras[self._index[name]]
 
+    def _told(self) -> Telling:
+        brief = f"{len(self)} camera{'s' if len(self) > 1 else ''}, lengths in {self.unit or 'a unit that is not said'}"
+        return Telling(brief, named([(c.name, "; ".join(said for _, said in c._told().rows)) for c in self]))
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the cameras, in order."""
@@ -265,18 +276,10 @@ class Rig:
         if self.unit not in METRES:
             its = f"in {shown(self.unit)}" if self.unit else "in a unit that it does not say"
             raise ValueError(f"unit: the calibration is {its}, which cannot be told in {unit}")
-        return self if unit == self.unit else self.scaled(METRES[self.unit] / METRES[unit], unit)
-
-    def scaled(self, factor: float, unit: str) -> Rig:
-        """The same rig with its lengths multiplied by a factor, and another name for their unit.
-
-        Raises:
-            TypeError, ValueError: a factor that is no positive number, a unit that is no word.
-        """
-        factor = number(factor, "factor", above=0.0)
+        scale = METRES[self.unit] / METRES[unit]
         poses = [camera.camera_from_world for camera in self]
-        moved = [RigidTransform.from_components(factor * pose.translation, pose.rotation) for pose in poses]
-        return self._standing(moved, kind_of(unit, str, "unit"))
+        moved = [RigidTransform.from_components(scale * pose.translation, pose.rotation) for pose in poses]
+        return self if unit == self.unit else self._standing(moved, unit)
 
     def in_world(self, new_from_world: RigidTransform) -> Rig:
         """The same rig told in another world; a pose `world_from_object` in it is then `new_from_world * world_from_object`.
@@ -368,11 +371,9 @@ def camera_at(
     focal: float,
     size: tuple[int, int],
     distortion: ArrayLike = (),
-    *,
-    down: ArrayLike = (0.0, 1.0, 0.0),
 ) -> Camera:
-    """A camera at `center` (3,) that looks at `target` (3,), upright (its y axis as near to `down` (3,) as can be), with the
-    principal point in the image's middle.
+    """A camera at `center` (3,) that looks at `target` (3,), upright (its y axis as near to the world's as can be),
+    with the principal point in the image's middle.
 
     Raises:
         ValueError: a centre that is the target, or anything that `Camera` refuses.
@@ -385,10 +386,9 @@ def camera_at(
     if not np.linalg.norm(forward) > 0:
         raise ValueError(f"camera {name}: it stands at the point that it looks at")
     forward = forward / np.linalg.norm(forward)
-    right = np.cross(finite(down, (3,), "down"), forward)
+    right = np.cross([0.0, 1.0, 0.0], forward)
     if np.linalg.norm(right) < 1e-9:  # straight up or down: any roll is as good
-        right = np.eye(3)[np.abs(forward).argmin()]
-        right = right - (right @ forward) * forward
+        right = np.array([1.0, 0.0, 0.0])
     right = right / np.linalg.norm(right)
     rotation = Rotation.from_matrix(np.stack([right, np.cross(forward, right), forward]))
     matrix = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])

@@ -6,9 +6,11 @@ import re
 
 from sylpose.reading import one_line
 
-__all__ = ["METRES", "length_of", "measured"]
+__all__ = ["FIRST_DISTANCES", "METRES", "length_of", "measured"]
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
+# With one camera lengths are relative to the object's distance in the first frame (docs/conventions.md).
+FIRST_DISTANCES = "first distances"
 # No length that is typed is smaller or larger (choice).
 LEAST, LARGEST = 1e-9, 1e9
 

@@ -546,7 +546,7 @@ def test_bad_toml(bad: str, tmp_path: Path) -> None:
         ("a.yml", "cam_0: &a\n  K: 1\ncam_1: *a\n", "YAML's aliases"),
         ("a.yml", "", "not a calibration of a known format"),
         ("a.xml", "<opencv_storage><a>", "not valid XML"),
-        ("a.xml", "<html></html>", "not OpenCV's XML"),
+        ("a.xml", "<html></html>", "not a calibration of a known format"),
         ("a.txt", "hello there", "not a calibration of a known format; known are sylpose, Anipose and Caliscope TOML"),
     ],
 )

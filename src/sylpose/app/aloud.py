@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from sylpose.app import text
-from sylpose.app.check import concerns
-from sylpose.app.compiling import compile_all
+from sylpose.app.check import concerns, object_place, obstacles
+from sylpose.app.compiling import compile_aloud
 from sylpose.app.listeners import STDOUT, listener
+from sylpose.app.notes import boxes_by
 from sylpose.app.results_folder import EARLIER
-from sylpose.app.run import ONE_CAMERA_UNIT, Run, output_path, track_session
+from sylpose.app.run import Run, output_path, track_session, unit_of
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.report.lines import pose_line
@@ -63,6 +64,10 @@ def _track_aloud(
 ) -> Run:
     console = text.make_console(stderr=to_stdout, quiet=quiet)
     warned = text.make_console(stderr=True) if quiet else console
+    known = options.get("known") or {}  # boxes of those are not used
+    places = {name: object_place(session.of(name)) for name in session.objects if name not in known}
+    if wrong := obstacles(places):
+        raise ValueError(f"{'; '.join(wrong)} ({boxes_by(session)} anew)")
     console.print(text.headline(session))
     start, stop, every = options.get("start", 0), options.get("stop"), options.get("every", 1)
     text.print_warnings(warned, concerns(session, start))
@@ -75,9 +80,8 @@ def _track_aloud(
     elif stop is not None:
         frames = len(range(start, stop, max(every, 1)))
     problems: list[str] = []
-    unit = session.rig.unit if len(session.rig) > 1 else ONE_CAMERA_UNIT
-    with console.status("Loading (the first time after an installation: compiling, one to two minutes) ..."):
-        compile_all()
+    units = {name: unit_of(session.rig, known.get(name)) for name in session.objects}
+    compile_aloud(console)
     with (
         text.TrackingProgress(len(session.rig), frames, len(session.objects), quiet=quiet) as progress,
         _interrupts(session) as asked,
@@ -91,9 +95,9 @@ def _track_aloud(
         def on_pose(name: str, pose: FramePose) -> None:
             of = name if len(session.objects) > 1 else ""
             if verbose:
-                console.print(text.frame_line(of, pose, session.rig.names, unit), soft_wrap=True)
+                console.print(text.frame_line(of, pose, session.rig.names, units[name]), soft_wrap=True)
             if tell is not None:
-                tell(pose_line(pose, session.rig.names, unit, **({"object": of} if of else {})))
+                tell(pose_line(pose, session.rig.names, units[name], **({"object": of} if of else {})))
 
         def on_resume(done: int) -> None:
             console.print(f"Going on after {done} of {frames} frames.")
@@ -172,7 +176,8 @@ def why_nothing(session: Session | LiveSession, run: Run) -> list[str]:
             sentence = f"{prefix}no frame could be solved. {max(statuses, key=statuses.count).text}"
             if not session.of(name).boxes and session.masks is None:
                 sentence += (
-                    " Boxes of the object in the first frame (--boxes) or masks (--masks) would help to find it."
+                    f" Boxes of the object in the first frame ({boxes_by(session)}) or masks (--masks) would help to find "
+                    "it."
                 )
             said.append(sentence)
     return said

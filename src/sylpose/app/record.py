@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -25,12 +25,15 @@ _PACKAGES = ("numpy", "scipy", "numba", "av", *_OPENCV)
 _HEAD = f"# What this run of sylpose was asked for. The calibration that it used is beside it, in {USED}.\n"
 
 
-def write_record(folder: Path, session: Session | LiveSession, options: Mapping[str, object]) -> list[Path]:
+def write_record(
+    folder: Path, session: Session | LiveSession, options: Mapping[str, object], noticed: Sequence[str] = ()
+) -> list[Path]:
     """Writes `settings.toml` and `calibration.used.toml`, and `world.toml` of a session that is told in a world of one's
     own; returns these files.
 
     Args:
         options: numbers, words or tables of these by the names that `track_session` has for them; None is left out.
+        noticed: sentences about what looked wrong before the run.
 
     Raises:
         OSError: naming the file that cannot be written.
@@ -42,6 +45,8 @@ def write_record(folder: Path, session: Session | LiveSession, options: Mapping[
         asked["world"] = session.world.said
     text = f"{_HEAD}begun = {begun}\nrecording = {toml_string(str(session.path.resolve()))}\n"
     text += f"calibration = {toml_string(str(session.calibration.resolve()))}\n"
+    if noticed:
+        text += f"noticed = [{', '.join(map(toml_string, noticed))}]\n"
     text += _table("options", {name: value for name, value in asked.items() if not isinstance(value, Mapping)})
     for name, value in asked.items():
         if isinstance(value, Mapping):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import textwrap
 import time
@@ -21,9 +20,10 @@ from rich.text import Text
 from sylpose.reading import SENTENCE, one_line
 from sylpose.report.disagreement import remarks
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
+from sylpose.told import length
 
 if TYPE_CHECKING:  # loading these takes a second
-    from sylpose.app.run import Run
+    from sylpose.app.outcome import Run
     from sylpose.capture import Session
     from sylpose.capture.live import LiveSession
     from sylpose.report.rigview import CameraView
@@ -36,6 +36,7 @@ __all__ = [
     "headline",
     "length",
     "make_console",
+    "per_camera",
     "print_facts",
     "print_files",
     "print_summary",
@@ -101,14 +102,6 @@ def print_table(console: Console, header: Sequence[str], rows: Iterable[Sequence
     for row in rows:
         table.add_row(*row)
     console.print(table)
-
-
-def length(value: float, unit: str) -> str:
-    """A length for people, to three digits: millimetres below one metre."""
-    if unit == "m" and value < 1:
-        value, unit = 1000 * value, "mm"
-    digits = 2 - math.floor(math.log10(value)) if value > 0 else 0
-    return f"{value:.{min(max(digits, 0), 9)}f} {unit or 'units'}"
 
 
 def headline(session: Session | LiveSession) -> Text:
@@ -218,7 +211,7 @@ def print_summary(console: Console, run: Run, tracked: int) -> None:
             console.print(Text(name, "bold"))
         print_facts(console, _findings(trajectory))
         console.print()
-        print_table(console, ("Camera", "frames used", "inliers", "residual"), _per_camera(trajectory))
+        print_table(console, ("Camera", "frames used", "inliers", "residual"), per_camera(trajectory))
         console.print()
         if name in run.network:
             print_facts(console, [("Network", run.network[name])])
@@ -260,7 +253,7 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
     facts.append(("Moved", f"{moved} from the first to the last solved frame, along a path of {path}"))
     one_camera = len(trajectory.camera_names) == 1
     open_scale = sum(f.observable is Observable.NO_SCALE for f in trajectory)
-    if one_camera:
+    if one_camera and open_scale:
         facts.append(("Scale", "not observable with one camera: lengths are in units of the object's first distance"))
     elif open_scale:
         facts.append(("Scale", f"not observable in {open_scale} frames: how far the object moved in them is not known"))
@@ -287,7 +280,8 @@ def _why_not(trajectory: Trajectory) -> list[str]:
     return said
 
 
-def _per_camera(trajectory: Trajectory) -> list[list[str]]:
+def per_camera(trajectory: Trajectory) -> list[list[str]]:
+    """Rows: a camera, in how many frames it was used, its inliers and its residual in the middle of these."""
     frames = solved(trajectory)
     rows = []
     for c, name in enumerate(trajectory.camera_names):

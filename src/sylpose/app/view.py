@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import __version__, calibration
 from sylpose.app import text
@@ -53,9 +55,7 @@ def view_aloud(
     if eye is not None:
         if given is not None:
             raise ValueError("--from places a camera, --calibration looks one up: give one of them")
-        # Worlds of one's own have z up, calibrations' mostly y down.
-        down = (0.0, 1.0, 0.0) if _beside(result, WORLD) is None else (0.0, 0.0, -1.0)
-        camera = standing(name, eye, at, trajectory, down)
+        camera = standing(name, eye, at, trajectory, z_up=_beside(result, WORLD) is not None)
     elif at is not None:
         raise ValueError("--at needs --from X Y Z: where the camera stands")
     else:
@@ -138,9 +138,12 @@ def standing(
     eye: tuple[float, float, float],
     at: tuple[float, float, float] | None,
     trajectory: Trajectory,
-    down: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    z_up: bool = False,
 ) -> Camera:
     """A virtual camera at a point, upright, that looks at another one: where the object was first, if nothing is said.
+
+    Args:
+        z_up: the world has its z axis up, as worlds of one's own; calibrations mostly have y down.
 
     Raises:
         ValueError: numbers that are not finite; both are one point; a trajectory without poses.
@@ -152,8 +155,10 @@ def standing(
         seen = [pose.position for pose in trajectory if pose.world_from_object is not None]
         if not seen:
             raise ValueError("the trajectory has no poses: nothing to look at")
-        return camera_at(name, eye, seen[0], FOCAL, SIZE, down=down)
-    return camera_at(name, eye, at, FOCAL, SIZE, down=down)
+        at = tuple(seen[0])
+    y_down_from_z_up = RigidTransform.from_rotation(Rotation.from_euler("x", 90.0 if z_up else 0.0, degrees=True))
+    camera = camera_at(name, y_down_from_z_up.apply(eye), y_down_from_z_up.apply(at), FOCAL, SIZE)
+    return replace(camera, camera_from_world=camera.camera_from_world * y_down_from_z_up)
 
 
 def write_view(

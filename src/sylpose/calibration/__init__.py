@@ -13,6 +13,6 @@
 All of them hold poses `camera_from_world` (docs/conventions.md).
 """
 
-from sylpose.calibration.files import find, load, save
+from sylpose.calibration.files import find, format_of, load, save
 
-__all__ = ["find", "load", "save"]
+__all__ = ["find", "format_of", "load", "save"]

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from pathlib import Path
-from typing import Any
 
-from sylpose.calibration import anipose, caliscope, filestorage, native
+from sylpose.calibration import filestorage, native
+from sylpose.calibration.build import Sizes
+from sylpose.calibration.formats import told_format
 from sylpose.files import replacing
-from sylpose.reading import parsed_toml, text_of, told
+from sylpose.reading import told
 from sylpose.rig import Rig
 
-__all__ = ["find", "is_calibration_name", "load", "save"]
+__all__ = ["find", "format_of", "is_calibration_name", "load", "save"]
 
 SUFFIXES = (".toml", ".yml", ".yaml", ".json", ".xml")
-KNOWN = (
-    "known are sylpose, Anipose and Caliscope TOML, and OpenCV FileStorage YAML, JSON and XML "
-    "with a node per camera or a sequence 'cameras'"
-)
 
 
 def find(folder: str | os.PathLike[str]) -> Path:
@@ -47,32 +43,37 @@ def find(folder: str | os.PathLike[str]) -> Path:
     return found[0]
 
 
-def load(path: str | os.PathLike[str]) -> Rig:
-    """The rig of a calibration file; the format is told from the content.
+def load(path: str | os.PathLike[str], sizes: Sizes | None = None) -> Rig:
+    """The rig of a calibration; the format is told from the content.
+
+    Args:
+        path: a file, or a folder with a calibration that has several.
+        sizes: called with the names of cameras of whose images the calibration does not tell the size: (width, height) by
+            name, of those that are known.
 
     Raises:
         OSError: a file that is not there or cannot be read.
         ValueError: naming the file, and the camera where there is one: no file of text, or too large (`reading`); not a
             calibration of a known format; no cameras, or two of the same name; a key that is missing or of the wrong type
             or shape; a number of distortion terms that OpenCV does not have; a value that is not finite, or absurd; a
-            matrix that is not a rotation.
+            matrix that is not a rotation; images whose size nothing tells.
     """
     path = Path(path)
-    text = text_of(path)
     with told(path):
-        start = text.lstrip()
-        if start.startswith(("%YAML", "---", "<", "{")):
-            return _read_storage(text, path)
-        try:
-            data = parsed_toml(text)
-        except tomllib.TOMLDecodeError as error:
-            # YAML without its header cannot be told from broken TOML but by the name.
-            if path.suffix.lower() in (".yml", ".yaml"):
-                return _read_storage(text, path)
-            if path.suffix.lower() == ".toml":
-                raise ValueError(f"not valid TOML: {error}") from None
-            raise ValueError(f"not a calibration of a known format; {KNOWN}") from None
-        return _read_toml(data, path)
+        format_, file, data = told_format(path)
+        with told(file):
+            return format_.rig(data, file, sizes)
+
+
+def format_of(path: str | os.PathLike[str]) -> str:
+    """The name of a calibration's format, for people.
+
+    Raises:
+        OSError, ValueError: as `load`.
+    """
+    path = Path(path)
+    with told(path):
+        return told_format(path).format_.name
 
 
 def save(rig: Rig, path: str | os.PathLike[str]) -> None:
@@ -98,20 +99,3 @@ def is_calibration_name(path: Path) -> bool:
     stem = path.stem.lower()
     named = stem in ("camera_array", "cameras", "rig") or stem.startswith("calib")
     return path.suffix.lower() in SUFFIXES and (named or stem.endswith(("calib", "calibration")))
-
-
-def _read_toml(data: dict[str, Any], path: Path) -> Rig:
-    if "format" in data:
-        return native.read(data, path)
-    if caliscope.is_caliscope(data):
-        return caliscope.read(data, path)
-    if anipose.is_anipose(data):
-        return anipose.read(data, path)
-    raise ValueError(f"not a calibration of a known format; {KNOWN}")
-
-
-def _read_storage(text: str, path: Path) -> Rig:
-    data = filestorage.decode(text)
-    if not filestorage.is_calibration(data):
-        raise ValueError(f"not a calibration of a known format; {KNOWN}")
-    return filestorage.read(data, path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -93,7 +93,9 @@ def told_in(rig: Rig, world: World) -> Rig:
     turned = rig.in_world(pose)
     if world.scale == 1.0 and world.world_unit == world.unit:
         return turned
-    return turned.scaled(world.scale / factor, world.world_unit)
+    scale, poses = world.scale / factor, [camera.camera_from_world for camera in turned]
+    moved = [RigidTransform.from_components(scale * pose.translation, pose.rotation) for pose in poses]
+    return Rig([replace(c, camera_from_world=pose) for c, pose in zip(rig, moved, strict=True)], world.world_unit)
 
 
 def world_with_up(up: ArrayLike, origin: ArrayLike = (0.0, 0.0, 0.0), *, unit: str = "", said: str = "") -> World:

@@ -17,7 +17,7 @@ from sylpose import calibration as calibrations
 from sylpose.calibration.world import World, told_in
 from sylpose.capture.boxes import Masks, check_first_masks, find_masks, load_boxes, object_names
 from sylpose.capture.readers import CameraReader, Reading, check_readable
-from sylpose.capture.sources import Source, find_sources
+from sylpose.capture.sources import Source, find_sources, sizes_in
 from sylpose.capture.timeline import Timeline, build_timeline, load_timestamps
 from sylpose.frames import Box, FrameSet
 from sylpose.numerics.arrays import BoolArray
@@ -238,7 +238,6 @@ def _opened(
     if not path.is_dir():
         raise ValueError(f"{path}: a folder with one video or image folder per camera is expected, not a file")
     calibration = calibrations.find(path) if calibration is None else Path(calibration)
-    rig = calibrations.load(calibration)
     boxes = None if boxes is None else Path(boxes)
     masks = None if masks is None else Path(masks)
     if boxes is None and (path / "boxes.toml").is_file():
@@ -246,9 +245,9 @@ def _opened(
     if masks is None and (path / "masks").is_dir():
         masks = path / "masks"
 
-    sources, warnings = find_sources(
-        path, rig, calibration, not_cameras=[] if masks is None else [masks], named=cameras
-    )
+    others = [] if masks is None else [masks]
+    rig = calibrations.load(calibration, lambda names: sizes_in(path, names, calibration, others, cameras))
+    sources, warnings = find_sources(path, rig, calibration, not_cameras=others, named=cameras)
     for source in sources:
         check_readable(source)
     stamps_file = path / "timestamps.csv"

@@ -19,6 +19,7 @@ __all__ = [
     "WRONG_INPUT",
     "Axes",
     "BoxesFile",
+    "Browser",
     "CalibrationFile",
     "CameraFiles",
     "MasksFolder",
@@ -26,6 +27,7 @@ __all__ = [
     "OutFolder",
     "Overlay",
     "PlotFormat",
+    "Port",
     "Rate",
     "RefineCalibration",
     "Seed",
@@ -163,6 +165,8 @@ OutFolder = Annotated[
 ]
 Stop = Annotated[int | None, typer.Option(metavar="N", help="The frame to stop before; all by default.")]
 Overlay = Annotated[bool, typer.Option("--overlay/--no-overlay", help="Write overlay.mp4.")]
+Port = Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Of the page; 0: any that is free.")]
+Browser = Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")]
 RefineCalibration = Annotated[
     bool, typer.Option("--refine-calibration", help="Smooth; write calibration.refined.toml, too.")
 ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -36,6 +38,13 @@ def convert(
     world: World = None,
     world_frame: WorldFrame = None,
     world_from: WorldFrom = None,
+    size: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[CAM=]WIDTHxHEIGHT",
+            help="How large images are, where IN does not say it: of all cameras, or of one; may be given several times.",
+        ),
+    ] = None,
 ) -> None:
     """Write a calibration in another format, another unit or another world.
 
@@ -47,7 +56,7 @@ def convert(
     from sylpose.calibration.world import told_in
     from sylpose.rig import Rig
 
-    rig = calibration.load(source)
+    rig = calibration.load(source, _sizes(size or []))
     if is_in is not None:
         if rig.unit not in ("", is_in):
             raise ValueError(f"--is-in {is_in}: {source} says itself that it is in {rig.unit}")
@@ -63,3 +72,19 @@ def convert(
     print(f"{target}: {len(rig)} cameras ({', '.join(rig.names)})")
     for note in notes:
         say(note)
+
+
+def _sizes(given: Sequence[str]) -> Callable[[Sequence[str]], dict[str, tuple[int, int]]]:
+    """What tells the sizes of the cameras' images, from the words of `--size`."""
+    of_all: tuple[int, int] | None = None
+    own: dict[str, tuple[int, int]] = {}
+    for text in given:
+        name, _, words = text.rpartition("=")
+        match = re.fullmatch(r"([0-9]{1,6})x([0-9]{1,6})", words)
+        if match is None:
+            raise ValueError(f"--size: WIDTHxHEIGHT or CAM=WIDTHxHEIGHT is expected, such as 1280x720, got {text!r}")
+        if name:
+            own[name] = int(match[1]), int(match[2])
+        else:
+            of_all = int(match[1]), int(match[2])
+    return lambda names: {name: size for name in names if (size := own.get(name, of_all)) is not None}

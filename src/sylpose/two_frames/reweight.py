@@ -136,12 +136,13 @@ def reweight(stack: Stack, usable: Usable, fit: Reweighted, least_px: float) -> 
     Args:
         usable: (N,) matches that may be inliers, or the probability of each that it is one of them.
         fit: its candidate and noise are the start; all of it becomes the result.
-        least_px: noise is not believed to be less; as a rule `SIGMA_FLOOR_PX`.
+        least_px: noise is not believed to be less, nor than the stack's; as a rule `SIGMA_FLOOR_PX`.
 
     Returns:
         number of rounds; what the last step promised to lower the cost by, infinite where no match agreed; the negative
         log-likelihood of all usable matches, to compare hypotheses by.
     """
+    least_px = max(least_px, stack.least_px)
     candidate, sigma_px, weights, across, information, without_depth, noise, relief, place = fit
     surface = candidate.surface
     n, n_matches = sigma_px.shape[0], weights.shape[0]

@@ -47,6 +47,7 @@ def fit_terms(
     guesses: Sequence[Hypothesis],
     rng: Uniform,
     joined: Joined | None = None,
+    least_px: float = 0.0,
 ) -> Fit:
     """One robust motion for all terms: per-term RANSAC, minima from several starts, re-weighting.
 
@@ -57,10 +58,11 @@ def fit_terms(
         guesses: (R, d) tried as starts besides the built-in ones.
         rng: seeded.
         joined: the terms, where that has been done.
+        least_px: noise that is believed at least, pixels.
     """
     if sum(len(term) for term in data) < MIN_MATCHES:
         return no_fit(data, Status.TOO_FEW_MATCHES)
-    stack = stack_terms(data, center, radius, joined)
+    stack = stack_terms(data, center, radius, joined, least_px)
     usable = np.ones(len(stack.x), dtype=bool)
     _not_background(stack, usable)
     found, minima, iterations, promise = fitted(stack, usable, guesses_of(guesses), rng)
@@ -102,15 +104,15 @@ def _all_stand(stack: Stack, usable: BoolArray, one: Reweighted) -> bool:
 
 
 def fit_apart(
-    data: Sequence[TermData], center: FloatArray, radius: float, first: Fit, second: Fit
+    data: Sequence[TermData], center: FloatArray, radius: float, first: Fit, second: Fit, least_px: float = 0.0
 ) -> tuple[Fit, FloatArray] | None:
     """The first of two motions of the same terms, about the same centre, it not being certain which match has which; and
     (2, T) how many matches of each term have the one and the other. None where they do not settle.
 
     Args:
-        data, center, radius: as `fit_terms` takes them.
+        data, center, radius, least_px: as `fit_terms` takes them.
     """
-    stack = stack_terms(data, center, radius)
+    stack = stack_terms(data, center, radius, least_px=least_px)
     fits = (first, second)
     both = apart(stack, [(f.rotation, f.shift) for f in fits], [np.concatenate(f.weights) > 0 for f in fits])
     counts = both.having.sum(axis=1)
