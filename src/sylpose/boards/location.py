@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.boards.detection import Detection, detect
 from sylpose.boards.specification import Board
+from sylpose.frames import FrameSet, check_frames
 from sylpose.known_model.pose import estimate_pose
 from sylpose.numerics.arrays import FloatArray, Image, IntArray
 from sylpose.numerics.checked import items, kind_of
@@ -66,10 +67,13 @@ def find_board(rig: Rig, images: Sequence[Image | None], board: Board, *, seed: 
         board: of `parse_board`, in the rig's unit.
 
     Raises:
-        ValueError: not one image per camera; this OpenCV has no detector for it.
+        TypeError, ValueError: not one image per camera, of its size; this OpenCV has no detector for the target.
     """
     n = len(kind_of(rig, Rig, "rig"))
     images = items(images, "images", n)
+    nothing = (None,) * n
+    check_frames(FrameSet(0, 0.0, nothing, tuple(images), nothing), rig)
+    board = kind_of(board, Board, "board")
     none = Detection(np.empty(0, np.int64), np.empty((0, 2)))
     seen = [none if image is None else detect(image, camera, board) for camera, image in zip(rig, images, strict=True)]
     return joined(rig, seen, board, seed=seed)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.checked import finite, finite_rows, items, kind_of, number, one_of, shown, truth, whole
 from sylpose.reading import one_line
 from sylpose.units import length_of
 
@@ -41,7 +42,7 @@ DICTIONARIES = {
 }
 # No target has more points a side (choice).
 MOST_A_SIDE = 100
-MOST_TAGS = 10_000
+MOST_TAGS, MOST_BORDER = 10_000, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,9 @@ class Board:
         border: black bits around a marker's code.
         half_turned: the marker is printed upside down, as OpenCV has it.
         diameter: of its circles.
+
+    Raises:
+        TypeError, ValueError: naming what is none of these, or does not fit the others.
     """
 
     kind: str
@@ -73,6 +77,31 @@ class Board:
     border: int = 1
     half_turned: bool = False
     diameter: float = 0.0
+
+    def __post_init__(self) -> None:
+        columns, rows = (
+            whole(side, "size", least=1, most=MOST_A_SIDE) for side in items(self.size, "size", 2, "sides")
+        )
+        counts = {"charuco": (columns - 1) * (rows - 1), "marker": 4, "aprilgrid": 4 * columns * rows}
+        kind = one_of(self.kind, ("charuco", "chessboard", "circles", "acircles", "marker", "aprilgrid"), "kind")
+        points = finite_rows(self.points, 3, "points")
+        n = counts.get(kind, columns * rows)
+        if len(points) != n:
+            raise ValueError(f"points: {len(points)} for a target of {n}")
+        alike = tuple(finite(way, (n,), "alike") for way in items(self.alike, "alike"))
+        if not alike or any((np.sort(way) != np.arange(n)).any() for way in alike):
+            raise ValueError(f"alike must have the numbers 0 to {n - 1} in some order each")
+        object.__setattr__(self, "size", (columns, rows))
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "alike", tuple(way.astype(np.int64) for way in alike))
+        kind_of(self.text, str, "text")
+        if self.dictionary not in ("", *DICTIONARIES.values()):
+            raise ValueError(f"dictionary: {shown(self.dictionary)} is none of OpenCV's")
+        truth(self.half_turned, "half_turned")
+        whole(self.first_id, "first_id", most=MOST_TAGS)
+        whole(self.border, "border", least=1, most=MOST_BORDER)
+        number(self.marker_share, "marker_share", above=0.0, most=1.0)
+        number(self.diameter, "diameter", least=0.0)
 
 
 def is_board(text: str) -> bool:
@@ -89,13 +118,16 @@ def parse_board(text: str, unit: str = "") -> Board:
         unit: of the points, the calibration's; lengths are in it, unless one has a unit of its own (`25mm`).
 
     Raises:
-        ValueError: in one sentence, what of the description is wrong, and what was expected.
+        TypeError, ValueError: in one sentence, what of the description is wrong, and what was expected.
     """
+    text, unit = kind_of(text, str, "text"), kind_of(unit, str, "unit")
     kind, _, rest = text.partition(":")
     kind = kind.strip().lower()
     if not is_board(text):
-        examples = "; ".join(EXAMPLES)
-        raise ValueError(f"{_shown(text)} is no board or marker: expected is one such as {examples}")
+        raise ValueError(
+            f"{_shown(text)} is no board or marker: expected is one such as {EXAMPLES[0]} or {EXAMPLES[1]}; known are "
+            f"{', '.join(_KINDS)}"
+        )
     what, *settings = [part.strip() for part in rest.split(",")]
     values: dict[str, str] = {}
     for setting in settings:
@@ -257,7 +289,10 @@ def _dictionary(name: str) -> str:
     bare = name.upper().removeprefix("DICT_")
     if bare not in DICTIONARIES:
         got = _shown(name) if name else "none"
-        raise ValueError(f"a dictionary of markers is expected ({', '.join(DICTIONARIES.values())}), got {got}")
+        raise ValueError(
+            "a dictionary of markers is expected, such as 4X4_50, 6X6_250, ARUCO_ORIGINAL or APRILTAG_36h11 (OpenCV's), "
+            f"got {got}"
+        )
     return DICTIONARIES[bare]
 
 
@@ -268,7 +303,7 @@ def _family(name: str) -> str:
 
 
 def _border(asked: _Asked, otherwise: int) -> int:
-    border = asked.whole("border", otherwise, 4)
+    border = asked.whole("border", otherwise, MOST_BORDER)
     if border < 1:
         raise ValueError("border must be at least 1 bit")
     return border

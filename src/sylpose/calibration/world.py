@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.calibration.build import convert, rigid
 from sylpose.calibration.world_points import standing_at, world_of_points
 from sylpose.files import replacing, toml_string
-from sylpose.numerics.checked import finite, number
+from sylpose.numerics.checked import finite, kind_of, number
 from sylpose.reading import parsed_toml, text_of, told
 from sylpose.rig import MAX_LENGTH, Rig, single_pose
 from sylpose.units import METRES
@@ -57,6 +57,8 @@ class World:
 
     def __post_init__(self) -> None:
         single_pose(self.world_from_calibration, "world_from_calibration")
+        for name in ("said", "unit", "world_unit"):
+            kind_of(getattr(self, name), str, name)
         number(self.scale, "scale", above=0.0, least=1e-12, most=1e12)
 
 
