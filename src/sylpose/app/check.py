@@ -12,13 +12,15 @@ from sylpose.app import text
 from sylpose.app.following import Follows, box_outlines, what_moves
 from sylpose.app.notes import boxes_by, notes
 from sylpose.app.opening import check_out
+from sylpose.app.record import WORLD
 from sylpose.app.text import length
 from sylpose.calibration import format_of
+from sylpose.calibration.world import save_world
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.files import output_folder
 from sylpose.numerics.arrays import FloatArray
-from sylpose.report.following import draw_followed
+from sylpose.report.following import draw_followed, draw_world
 from sylpose.report.rigview import describe_rig, meeting_point, plot_rig
 from sylpose.rig import Rig
 from sylpose.tracking.region import volume_from_boxes
@@ -91,6 +93,12 @@ def check_aloud(session: Session, out: Path | None) -> None:
     if followed is not None and followed.frames is not None:
         pictures.append(picture.with_name("follows.png"))
         draw_followed(pictures[-1], followed.frames.images, session.rig.names, followed.outlines)
+    if session.world is not None:
+        pictures.append(picture.with_name("world.png"))
+        first = followed.frames if followed is not None else None
+        images = first.images if first is not None else [None] * len(session.rig)
+        draw_world(pictures[-1], images, session.rig)
+        save_world(session.world, picture.with_name(WORLD))
     text.print_files(console, "Pictures" if len(pictures) > 1 else "Picture", pictures)
     console.print()
     if followed is not None:
@@ -135,6 +143,8 @@ def facts(session: Session, places: Mapping[str, Place]) -> list[tuple[str, str]
     name = calibration.name if inside else str(calibration)
     words = [("Calibration", f"{name}, {format_of(calibration)}, length unit {unit}")]
     kinds = {"video": "videos", "images": "folders of images"}
+    if session.world is not None:
+        words.append(("World", session.world.said or "of a file"))
     words.append(("Recorded", " and ".join(sorted({kinds[source.kind] for source in session.sources}))))
     stamps = np.isfinite(session.timeline.stamps).any()
     if stamps:

@@ -17,7 +17,7 @@ from sylpose.app.opening import check_out
 from sylpose.app.outcome import Run
 from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
 from sylpose.app.progress import Watcher, watched
-from sylpose.app.record import SETTINGS, USED, write_record
+from sylpose.app.record import SETTINGS, USED, WORLD, write_record
 from sylpose.app.results_folder import ResultsFolder, alone_in
 from sylpose.app.saving import Saver
 from sylpose.app.state import OutputState, RunState
@@ -302,6 +302,7 @@ def track_session(
         results.end()
     files = [file for output in outputs.values() for file in output.files] + ([overlay_path] if overlay else [])
     files += [results.path / SETTINGS, results.path / USED]
+    files += [results.path / WORLD] if session.world is not None else []
     trajectories = {name: output.trajectory for name, output in outputs.items()}
     changes = {name: tuple(output.changes) for name, output in outputs.items()}
     network = {name: tracker.cost() for name, tracker in trackers.items() if isinstance(tracker, NodesTracker)}

@@ -30,6 +30,7 @@ __all__ = [
     "numbers",
     "plain",
     "pose_of_matrix",
+    "rigid",
     "sizes_of",
 ]
 
@@ -122,7 +123,11 @@ def make_pose(path: Path, name: str, rotation: Any, translation: Any) -> RigidTr
         ValueError: naming file and camera, for a wrong shape, a value that is not finite, or a matrix that is not
             a rotation to 1e-3.
     """
-    where = f"{path}: camera {name}"
+    return rigid(f"{path}: camera {name}", rotation, translation)
+
+
+def rigid(where: str, rotation: Any, translation: Any) -> RigidTransform:
+    """The same of anything; sentences begin with `where`."""
     r = _array(rotation, f"{where}: the rotation")
     t = _array(translation, f"{where}: the translation")
     if t.size != 3:

@@ -34,6 +34,9 @@ __all__ = [
     "SessionPath",
     "Stop",
     "Unit",
+    "World",
+    "WorldFrame",
+    "WorldFrom",
     "app",
     "examples",
     "fail",
@@ -140,6 +143,22 @@ Unit = Annotated[
     typer.Option(
         "--unit", metavar="|".join(METRES), help="Of all lengths in the results; the calibration's by default."
     ),
+]
+World = Annotated[
+    str | None,
+    typer.Option(
+        "--world",
+        metavar="WORLD",
+        help="A world of your own, z up: a board on the floor (chessboard:9x6,square=25mm), up=0,-1,0 in the calibration's, "
+        "or a file (world.toml, or three points: docs/formats.md).",
+    ),
+]
+WorldFrame = Annotated[
+    int | None, typer.Option("--world-frame", metavar="N", min=0, help="The frame that shows the board; the first one.")
+]
+WorldFrom = Annotated[
+    Path | None,
+    typer.Option("--world-from", metavar="DIR", help="Images or videos that show the board, instead of SESSION."),
 ]
 OutFolder = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Where the results go; SESSION/sylpose by default.")

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import app, examples, spoken
+from sylpose.cli.asked import World, WorldFrame, WorldFrom, app, examples, say, spoken
 from sylpose.units import METRES
 
 __all__ = ["convert"]
@@ -19,7 +19,12 @@ calibration_app = typer.Typer(help="Calibration files: convert.", no_args_is_hel
 app.add_typer(calibration_app, name="calibration")
 
 
-@calibration_app.command(epilog=examples("sylpose calibration convert camera_array.toml calibration.yml"))
+@calibration_app.command(
+    epilog=examples(
+        "sylpose calibration convert camera_array.toml calibration.yml",
+        "sylpose calibration convert rig.toml floor.toml --world chessboard:9x6,square=25mm --world-from floor_images",
+    )
+)
 @spoken
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Calibration in any format that sylpose reads.")],
@@ -30,6 +35,9 @@ def convert(
     is_in: Annotated[
         str | None, typer.Option(metavar="|".join(METRES), help="The unit of IN, which does not say it itself.")
     ] = None,
+    world: World = None,
+    world_frame: WorldFrame = None,
+    world_from: WorldFrom = None,
     size: Annotated[
         list[str] | None,
         typer.Option(
@@ -38,12 +46,14 @@ def convert(
         ),
     ] = None,
 ) -> None:
-    """Write a calibration in another format.
+    """Write a calibration in another format, another unit or another world.
 
     Read are sylpose, Anipose and Caliscope TOML, and OpenCV FileStorage YAML, JSON and XML; written are sylpose TOML and
     OpenCV FileStorage.
     """
     from sylpose import calibration
+    from sylpose.app.world import asked_world, world_asked
+    from sylpose.calibration.world import told_in
     from sylpose.rig import Rig
 
     rig = calibration.load(source, _sizes(size or []))
@@ -53,9 +63,15 @@ def convert(
         if is_in not in METRES:
             raise ValueError(f"--is-in must be one of {', '.join(METRES)}, got {is_in!r}")
         rig = Rig(rig.cameras, is_in)
+    notes: list[str] = []
+    if (asked := asked_world(world, world_frame, world_from)) is not None:
+        found, notes = world_asked(rig, asked)
+        rig = told_in(rig, found)
     rig = rig if unit is None else rig.in_unit(unit)
     calibration.save(rig, target)
     print(f"{target}: {len(rig)} cameras ({', '.join(rig.names)})")
+    for note in notes:
+        say(note)
 
 
 def _sizes(given: Sequence[str]) -> Callable[[Sequence[str]], dict[str, tuple[int, int]]]:

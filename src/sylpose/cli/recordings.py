@@ -22,6 +22,9 @@ from sylpose.cli.asked import (
     SessionPath,
     Stop,
     Unit,
+    World,
+    WorldFrame,
+    WorldFrom,
     app,
     examples,
     fail,
@@ -46,15 +49,20 @@ def check(
     camera: CameraFiles = None,
     rate: Rate = None,
     unit: Unit = None,
+    world: World = None,
+    world_frame: WorldFrame = None,
+    world_from: WorldFrom = None,
 ) -> None:
     """What sylpose understands of a recording, and what looks wrong with it.
 
-    Draws the rig from above and from the side into OUT/rig.png.
+    Draws the rig from above and from the side into OUT/rig.png; with --world its axes into OUT/world.png.
     """
     from sylpose.app.check import check_aloud
     from sylpose.app.opening import open_recorded
+    from sylpose.app.world import asked_world
 
-    check_aloud(open_recorded(session, calibration, boxes, masks, offset, camera, rate, unit), out)
+    asked = asked_world(world, world_frame, world_from)
+    check_aloud(open_recorded(session, calibration, boxes, masks, offset, camera, rate, unit, asked), out)
 
 
 @app.command(

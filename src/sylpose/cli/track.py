@@ -23,6 +23,9 @@ from sylpose.cli.asked import (
     SessionPath,
     Stop,
     Unit,
+    World,
+    WorldFrame,
+    WorldFrom,
     app,
     examples,
     fail,
@@ -107,6 +110,9 @@ def track(
     rate: Rate = None,
     camera: CameraFiles = None,
     unit: Unit = None,
+    world: World = None,
+    world_frame: WorldFrame = None,
+    world_from: WorldFrom = None,
     angles: Axes = None,
     poses: Annotated[
         str | None,
@@ -128,6 +134,7 @@ def track(
     from sylpose.app.object_files import known_objects
     from sylpose.app.opening import open_asked
     from sylpose.app.run import has_ended, output_path
+    from sylpose.app.world import asked_world
     from sylpose.sync.offsets import find_offsets
 
     features_of(method, features)
@@ -143,6 +150,7 @@ def track(
         rate=rate,
         camera=camera,
         unit=unit,
+        world=asked_world(world, world_frame, world_from),
     )
     if resume and has_ended(opened, out):
         print(f"{output_path(opened, out)}: the run there has ended; there is nothing to resume")
