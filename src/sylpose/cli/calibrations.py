@@ -14,16 +14,37 @@ from sylpose.units import METRES
 
 __all__ = ["convert"]
 
+# As `calibration.written` has them, known without loading that.
+WRITTEN = ("sylpose", "opencv", "opencv-stereo", "anipose", "kalibr", "colmap")
+
 
 calibration_app = typer.Typer(help="Calibration files: convert.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(calibration_app, name="calibration")
 
 
-@calibration_app.command(epilog=examples("sylpose calibration convert camera_array.toml calibration.yml"))
+@calibration_app.command(
+    epilog=examples(
+        "sylpose calibration convert camera_array.toml calibration.yml",
+        "sylpose calibration convert camchain.yaml calibration.toml --to anipose",
+        "sylpose calibration convert colmap/sparse/0 calibration.toml",
+    )
+)
 @spoken
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Calibration in any format that sylpose reads.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="A .toml (sylpose's), .yml, .json or .xml (OpenCV's).")],
+    source: Annotated[
+        Path, typer.Argument(metavar="IN", help="Calibration in any format that sylpose reads: a file, or a folder.")
+    ],
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT",
+            help="A .toml (sylpose's), .yml, .json or .xml (OpenCV's), camchain.yaml (Kalibr's), a folder (COLMAP's).",
+        ),
+    ],
+    to: Annotated[
+        str | None,
+        typer.Option(metavar="|".join(WRITTEN), help="The format of OUT; by default what its name tells."),
+    ] = None,
     unit: Annotated[
         str | None, typer.Option(metavar="|".join(METRES), help="Of all lengths in OUT; that of IN by default.")
     ] = None,
@@ -40,8 +61,8 @@ def convert(
 ) -> None:
     """Write a calibration in another format.
 
-    Read are sylpose, Anipose and Caliscope TOML, and OpenCV FileStorage YAML, JSON and XML; written are sylpose TOML and
-    OpenCV FileStorage.
+    Read are sylpose, Anipose, Caliscope, OpenCV (FileStorage, stereo), Kalibr, COLMAP, ROS, JARVIS, Qualisys, Vicon,
+    OptiTrack, EasyMocap, MultiCamSelfCal, Matlab, Metashape, NeRF and DeepLabCut.
     """
     from sylpose import calibration
     from sylpose.rig import Rig
@@ -54,8 +75,9 @@ def convert(
             raise ValueError(f"--is-in must be one of {', '.join(METRES)}, got {is_in!r}")
         rig = Rig(rig.cameras, is_in)
     rig = rig if unit is None else rig.in_unit(unit)
-    calibration.save(rig, target)
-    print(f"{target}: {len(rig)} cameras ({', '.join(rig.names)})")
+    notes = calibration.save(rig, target, to)
+    said = "; ".join([f"{len(rig)} cameras ({', '.join(rig.names)})", *notes])
+    print(f"{target}, {calibration.format_of(target)}: {said}")
 
 
 def _sizes(given: Sequence[str]) -> Callable[[Sequence[str]], dict[str, tuple[int, int]]]:
