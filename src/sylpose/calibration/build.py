@@ -52,6 +52,8 @@ TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4",
 # A camera that looks along -z with y up (OpenGL, Blender, OptiTrack, Qualisys): its axes turned to ours.
 from_opengl = RigidTransform.from_rotation(Rotation.from_quat([1.0, 0.0, 0.0, 0.0]))
 
+# Beyond it products overflow, long before a camera is looked at (choice).
+MAX_NUMBER = 1e50
 # Calibrations written with a few digits are still rotations to about 1e-4; a larger gap is a mistake in the file
 # (choice: ten times those).
 ROTATION_TOLERANCE = 1e-3
@@ -275,4 +277,6 @@ def _array(value: Any, what: str) -> FloatArray:
         raise ValueError(f"{what} must be numbers, in rows of equal length") from None
     if not np.isfinite(array).all():
         raise ValueError(f"{what} has values that are not finite")
+    if (np.abs(array) > MAX_NUMBER).any():
+        raise ValueError(f"{what} has values beyond {MAX_NUMBER:g}, which are of nothing that is measured")
     return array

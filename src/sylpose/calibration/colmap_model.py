@@ -11,6 +11,7 @@ import numpy as np
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.reading import MAX_TABLE, one_line, regular_file, told
+from sylpose.rig import MAX_LENGTH
 
 __all__ = ["Image", "Lens", "Model", "is_model", "read_model"]
 
@@ -196,6 +197,6 @@ def _unpacked(file: BinaryIO, layout: str) -> tuple[Any, ...]:
 
 def _image(name: str, camera: int, values: FloatArray) -> Image:
     """Of quaternion, w first, and translation."""
-    if not np.isfinite(values).all() or not abs(np.linalg.norm(values[:4]) - 1.0) < 1e-3:
+    if not np.abs(values).max() <= MAX_LENGTH or not abs(np.linalg.norm(values[:4]) - 1.0) < 1e-3:
         raise ValueError(f"image {one_line(name, 100)}: its pose is not a unit quaternion, w first, and a translation")
     return Image(name, camera, np.roll(values[:4], -1), values[4:])

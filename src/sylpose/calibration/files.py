@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from sylpose.calibration import filestorage, native
 from sylpose.calibration.build import Sizes
 from sylpose.calibration.formats import told_format
-from sylpose.files import replacing
+from sylpose.calibration.written import format_for
+from sylpose.files import output_folder, replacing
 from sylpose.reading import told
 from sylpose.rig import Rig
 
@@ -76,22 +76,34 @@ def format_of(path: str | os.PathLike[str]) -> str:
         return told_format(path).format_.name
 
 
-def save(rig: Rig, path: str | os.PathLike[str]) -> None:
-    """Write a rig: sylpose's own TOML, or OpenCV's FileStorage for `.yml`, `.yaml`, `.json` and `.xml`.
+def save(rig: Rig, path: str | os.PathLike[str], to: str | None = None) -> list[str]:
+    """Write a rig: sylpose's own TOML, OpenCV's FileStorage, or a format of another program.
 
-    Loading gives the same rig back, bit for bit. A file that is there is replaced once the new one is whole.
+    Loading gives the same rig back: bit for bit of sylpose's and OpenCV's, up to rounding and what is said of others. A file
+    that is there is replaced once the new one is whole.
+
+    Args:
+        to: "sylpose", "opencv", "opencv-stereo", "anipose", "kalibr" or "colmap"; None for what the name tells: sylpose for
+            `.toml`, OpenCV for `.yml`, `.yaml`, `.json` and `.xml`, Kalibr where that is called a camchain, COLMAP for a
+            folder.
+
+    Returns:
+        what is otherwise in it than in the rig, such as its world.
 
     Raises:
-        ValueError: another suffix.
+        ValueError: a suffix that is none of these, or not of that format; a lens that it does not have, or another number of
+            cameras, by name.
         OSError: a file that cannot be written.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise ValueError(f"{path}: a calibration is written as one of {', '.join(SUFFIXES)}")
-    text = native.to_text(rig) if suffix == ".toml" else filestorage.to_text(rig, suffix)
-    with replacing(path) as part:
-        part.write_text(text, encoding="utf-8")
+    written = format_for(path, to)
+    texts = written.texts(rig, path)
+    if not written.suffixes:
+        output_folder(path)
+    for file, text in texts.items():
+        with replacing(file) as part:
+            part.write_text(text, encoding="utf-8")
+    return written.notes(rig)
 
 
 def is_calibration_name(path: Path) -> bool:

@@ -18,9 +18,9 @@ __all__ = ["LENS_PX", "Fitted", "fitted_lens", "grid"]
 # The largest difference, pixels, anywhere in the image: a fifth of the noise of the best features (choice).
 LENS_PX = 0.02
 # Of fx fy cx cy and k1 k2 p1 p2 k3 k4 k5 k6; points that the fit is told by are at a grid of so many a side (choice).
-TERMS, GRID = 8, 20
+TERMS, GRID = 8, 16
 # Evaluations (choice: twice what polynomial lenses need).
-STEPS = 400
+STEPS = 200
 
 
 class Fitted(NamedTuple):

@@ -1,7 +1,7 @@
-"""Kalibr's camchain.yaml: cam0, cam1, ..., each with its pose in the one before, T_cn_cnm1. The world is cam0's frame.
+"""Kalibr's camchain.yaml: cam0, cam1, ..., each with its pose in the one before, T_cn_cnm1. Lengths are metres.
 
-Where a file has T_cam_imu of all cameras and no chain, the world is the IMU's frame. Pixels are OpenCV's, whose detectors
-find Kalibr's targets.
+The world is cam0's frame; where a file has T_cam_imu of all cameras and no chain, the IMU's. Pixels are OpenCV's, whose
+detectors find Kalibr's targets.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.calibration.build import lens_terms, make_camera, make_rig, matrix_of, numbers, pose_of_matrix
 from sylpose.rig import Camera, LensModel, Rig
+from sylpose.units import METRES
 
 __all__ = ["is_kalibr", "read", "to_text"]
 
@@ -42,15 +43,18 @@ def read(data: dict[str, Any], path: Path) -> Rig:
         )
     names = sorted(nodes, key=lambda name: [int(word) for word in re.findall("[0-9]{1,9}", name)])
     poses = _poses({name: nodes[name] for name in names}, path)
-    return make_rig(path, [_camera(nodes[name], name, path, poses[name]) for name in names])
+    return make_rig(path, [_camera(nodes[name], name, path, poses[name]) for name in names], "m")
 
 
 def to_text(rig: Rig) -> str:
     """A camchain of the rig, whose cameras are called cam0, cam1, ... in order; its world is the first one's frame.
 
+    Lengths are in metres, where the rig says what its own are.
+
     Raises:
         ValueError: a lens that Kalibr has not.
     """
+    rig = rig.in_unit("m") if rig.unit in METRES else rig
     text, before = "", rig.cameras[0].camera_from_world
     for i, camera in enumerate(rig):
         fisheye = camera.lens == "fisheye"

@@ -1,4 +1,4 @@
-"""ROS: camera_info of each camera, in YAML, and beside them where the cameras' frames are.
+"""ROS: camera_info of each camera, in YAML, and beside them where the cameras' frames are. Lengths are metres.
 
 camera_info is what camera_calibration writes (left.yaml, ost.yaml) or a message as `ros2 topic echo` prints it. Where frames
 are tell transforms: /tf_static, or any TransformStamped, printed likewise. X_parent = R X_child + t; a camera's frame is its
@@ -61,7 +61,7 @@ def read(_: Any, path: Path) -> Rig:
         of_camera = {name: pose for name, (_, pose) in poses.items()}
     else:
         of_camera = _stereo(named, path)
-    return make_rig(path, [_camera(file, name, data, of_camera[name]) for name, (file, data) in named.items()])
+    return make_rig(path, [_camera(file, name, data, of_camera[name]) for name, (file, data) in named.items()], "m")
 
 
 def _is_info(data: Any) -> bool:

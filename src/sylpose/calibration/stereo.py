@@ -10,6 +10,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.calibration.build import Sizes, make_camera, make_pose, make_rig, plain, sizes_of
@@ -17,7 +19,7 @@ from sylpose.calibration.content import beside, plain_of
 from sylpose.calibration.filestorage import error_of, lens_of, pick, says
 from sylpose.rig import Rig
 
-__all__ = ["is_stereo", "read"]
+__all__ = ["is_stereo", "read", "to_text"]
 
 _WHICH = r"_?(\d+|left|right|l|r)"
 _MATRIX = re.compile(r"(?:M|K|A|CM|mtx|camera_?matrix|intrinsics?(?:_?matrix)?)" + _WHICH, re.IGNORECASE)
@@ -84,6 +86,34 @@ def read(data: dict[str, Any], path: Path, sizes: Sizes | None = None) -> Rig:
             )
         )
     return make_rig(path, cameras)
+
+
+def to_text(rig: Rig, suffix: str) -> str:
+    """The text of a file of that suffix with all in it, as OpenCV's sample calls it, and the images' size.
+
+    Raises:
+        ValueError: other than two cameras, of one size and lens model.
+    """
+    if len(rig) != 2:
+        raise ValueError(f"an OpenCV stereo calibration is of two cameras, not of {len(rig)}: {', '.join(rig.names)}")
+    first, second = rig
+    for what, same in (("sizes", first.size == second.size), ("lens models", first.lens == second.lens)):
+        if not same:
+            raise ValueError(
+                f"an OpenCV stereo calibration has no cameras of different {what}: {first.name}, {second.name}"
+            )
+    pose = (second.camera_from_world * first.camera_from_world.inv()).as_matrix()
+    storage = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    for i, camera in enumerate(rig, start=1):
+        storage.write(f"M{i}", np.array(camera.matrix))
+        storage.write(f"D{i}", camera.distortion.reshape(1, -1).copy())
+    storage.write("R", pose[:3, :3].copy())
+    storage.write("T", pose[:3, 3:].copy())
+    storage.write("image_width", first.size[0])
+    storage.write("image_height", first.size[1])
+    if first.lens == "fisheye":
+        storage.write("fisheye", 1)
+    return str(storage.releaseAndGetString())
 
 
 def _numbered(data: dict[str, Any], key: re.Pattern[str]) -> dict[str, tuple[str, Any]]:

@@ -14,6 +14,9 @@ from sylpose.units import METRES
 
 __all__ = ["convert"]
 
+# As `calibration.written` has them, known without loading that.
+WRITTEN = ("sylpose", "opencv", "opencv-stereo", "anipose", "kalibr", "colmap")
+
 
 calibration_app = typer.Typer(help="Calibration files: convert.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(calibration_app, name="calibration")
@@ -23,12 +26,26 @@ app.add_typer(calibration_app, name="calibration")
     epilog=examples(
         "sylpose calibration convert camera_array.toml calibration.yml",
         "sylpose calibration convert rig.toml floor.toml --world chessboard:9x6,square=25mm --world-from floor_images",
+        "sylpose calibration convert camchain.yaml calibration.toml --to anipose",
+        "sylpose calibration convert colmap/sparse/0 calibration.toml",
     )
 )
 @spoken
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Calibration in any format that sylpose reads.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="A .toml (sylpose's), .yml, .json or .xml (OpenCV's).")],
+    source: Annotated[
+        Path, typer.Argument(metavar="IN", help="Calibration in any format that sylpose reads: a file, or a folder.")
+    ],
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT",
+            help="A .toml (sylpose's), .yml, .json or .xml (OpenCV's), camchain.yaml (Kalibr's), a folder (COLMAP's).",
+        ),
+    ],
+    to: Annotated[
+        str | None,
+        typer.Option(metavar="|".join(WRITTEN), help="The format of OUT; by default what its name tells."),
+    ] = None,
     unit: Annotated[
         str | None, typer.Option(metavar="|".join(METRES), help="Of all lengths in OUT; that of IN by default.")
     ] = None,
@@ -48,8 +65,8 @@ def convert(
 ) -> None:
     """Write a calibration in another format, another unit or another world.
 
-    Read are sylpose, Anipose and Caliscope TOML, and OpenCV FileStorage YAML, JSON and XML; written are sylpose TOML and
-    OpenCV FileStorage.
+    Read are sylpose, Anipose, Caliscope, OpenCV (FileStorage, stereo), Kalibr, COLMAP, ROS, JARVIS, Qualisys, Vicon,
+    OptiTrack, EasyMocap, MultiCamSelfCal, Matlab, Metashape, NeRF and DeepLabCut.
     """
     from sylpose import calibration
     from sylpose.app.world import asked_world, world_asked
@@ -68,8 +85,9 @@ def convert(
         found, notes = world_asked(rig, asked)
         rig = told_in(rig, found)
     rig = rig if unit is None else rig.in_unit(unit)
-    calibration.save(rig, target)
-    print(f"{target}: {len(rig)} cameras ({', '.join(rig.names)})")
+    lost = calibration.save(rig, target, to)
+    said = "; ".join([f"{len(rig)} cameras ({', '.join(rig.names)})", *lost])
+    print(f"{target}, {calibration.format_of(target)}: {said}")
     for note in notes:
         say(note)
 
