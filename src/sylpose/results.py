@@ -336,5 +336,13 @@ class Trajectory(Told):
         Raises:
             ValueError: a trajectory without frames.
         """
-        # Drawing stands above the results, and loads Matplotlib: it is looked up when it is asked for.
+        # What draws results, and makes tables of them, stands above them: it is looked up when it is asked for.
         return import_module("sylpose.report.plots").trajectory_figure(self, note=note)
+
+    def to_dataframe(self) -> Any:
+        """The columns of trajectory.csv (docs/formats.md) as a `pandas.DataFrame`, not rounded: NaN where there is no value.
+
+        Raises:
+            ModuleNotFoundError: pandas is not installed.
+        """
+        return import_module("sylpose.report.tables").dataframe(self)

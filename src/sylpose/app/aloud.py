@@ -13,6 +13,7 @@ from sylpose.app import text
 from sylpose.app.check import concerns
 from sylpose.app.compiling import compile_all
 from sylpose.app.listeners import STDOUT, listener
+from sylpose.app.progress import TrackingProgress
 from sylpose.app.results_folder import EARLIER
 from sylpose.app.run import ONE_CAMERA_UNIT, Run, output_path, track_session
 from sylpose.capture import Session
@@ -79,7 +80,7 @@ def _track_aloud(
     with console.status("Loading (the first time after an installation: compiling, one to two minutes) ..."):
         compile_all()
     with (
-        text.TrackingProgress(len(session.rig), frames, len(session.objects), quiet=quiet) as progress,
+        TrackingProgress(len(session.rig), frames, len(session.objects), quiet=quiet) as progress,
         _interrupts(session) as asked,
     ):
 
