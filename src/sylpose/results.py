@@ -137,7 +137,7 @@ class RotationEstimate(Told):
         return covariance_of(self.information)
 
     def _told(self) -> Telling:
-        rows = [("not seen", f"turns about {len(self.unseen)} axes: `unseen`")] if len(self.unseen) else []
+        rows = [("not seen", f"turns about {len(self.unseen)} of three axes: `unseen`")] if len(self.unseen) else []
         rows += [("iterations", str(self.iterations)), *self._told_besides()]
         status = f"{self.status.value}. {self.status.text}"
         if not np.isfinite(self.rotation).all():
