@@ -25,6 +25,7 @@ BODY, TURN = simulate.ellipsoid((0.15, 0.12, 0.1)), simulate.random_motion(8.0, 
 PAIR = simulate.simulate_matches(RIG, BODY, TURN, rng=RNG)
 Q, M = [c.rotation for c in RIG], [PairMoments.from_matches(m.x, m.y) for m in PAIR.matches]
 MOTION = sylpose.estimate_motion(RIG, PAIR.matches)
+POINTS = np.random.default_rng(0).normal(size=(8, 3))
 
 
 def frame(index: int, status: FrameStatus = FrameStatus.TRACKED, **more: Any) -> FramePose:
@@ -59,7 +60,6 @@ ALL: dict[str, Callable[[], Any]] = {
     "FramePose": lambda: frame(3),
     "Trajectory": trajectory,
 }
-POINTS = np.random.default_rng(0).normal(size=(8, 3))
 
 
 class Texts(HTMLParser):

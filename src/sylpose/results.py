@@ -138,7 +138,7 @@ class RotationEstimate(Told):
         return covariance_of(self.information)
 
     def _told(self) -> Telling:
-        rows = [("not seen", f"turns about {len(self.unseen)} axes: `unseen`")] if len(self.unseen) else []
+        rows = [("not seen", f"turns about {len(self.unseen)} of three axes: `unseen`")] if len(self.unseen) else []
         rows += [("iterations", str(self.iterations)), *self._told_besides()]
         status = f"{self.status.value}. {self.status.text}"
         if not np.isfinite(self.rotation).all():
@@ -354,5 +354,13 @@ class Trajectory(Told):
         Raises:
             ValueError: a trajectory without frames.
         """
-        # Drawing stands above the results, and loads Matplotlib: it is looked up when it is asked for.
+        # What draws results, and makes tables of them, stands above them: it is looked up when it is asked for.
         return import_module("sylpose.report.plots").trajectory_figure(self, note=note)
+
+    def to_dataframe(self) -> Any:
+        """The columns of trajectory.csv (docs/formats.md) as a `pandas.DataFrame`, not rounded: NaN where there is no value.
+
+        Raises:
+            ModuleNotFoundError: pandas is not installed.
+        """
+        return import_module("sylpose.report.tables").dataframe(self)

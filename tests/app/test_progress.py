@@ -36,7 +36,7 @@ def test_a_function_is_told_each_frame(recording: Path, tmp_path: Path, capsys: 
 
 
 def test_a_resumed_run_goes_on_counting(recording: Path, tmp_path: Path) -> None:
-    told: list[int] = []
+    told: list[object] = []
     with pytest.raises(KeyboardInterrupt):
         track_session(
             open_session(recording), tmp_path, overlay=False, interrupted=lambda: len(told) > 0, on_frame=told.append

@@ -14,6 +14,7 @@ from sylpose.app.check import concerns, object_place, obstacles
 from sylpose.app.compiling import compile_aloud
 from sylpose.app.listeners import STDOUT, listener
 from sylpose.app.notes import boxes_by
+from sylpose.app.progress import TrackingProgress
 from sylpose.app.results_folder import EARLIER
 from sylpose.app.run import Run, output_path, track_session, unit_of
 from sylpose.capture import Session
@@ -83,7 +84,7 @@ def _track_aloud(
     units = {name: unit_of(session.rig, known.get(name)) for name in session.objects}
     compile_aloud(console)
     with (
-        text.TrackingProgress(len(session.rig), frames, len(session.objects), quiet=quiet) as progress,
+        TrackingProgress(len(session.rig), frames, len(session.objects), quiet=quiet) as progress,
         _interrupts(session) as asked,
     ):
 

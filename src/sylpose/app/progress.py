@@ -8,10 +8,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from sylpose.app.text import TrackingProgress
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+
+from sylpose.app.console import make_console, say
+from sylpose.results import FrameStatus
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-__all__ = ["Progress", "Watcher", "watched"]
+__all__ = ["Progress", "TrackingProgress", "Watcher", "watched"]
 
 # Is called with the numbers of frames that are tracked and that there are, None where nobody knows.
 Watcher = Callable[[int, int | None], None]
@@ -19,6 +23,8 @@ Watcher = Callable[[int, int | None], None]
 OFTEN = 0.2
 # Characters of a notebook's bar (choice).
 WIDTH = 30
+# Seconds between two lines of progress where there is no terminal (choice).
+BETWEEN_LINES = 20.0
 
 
 class Progress(Protocol):
@@ -58,6 +64,84 @@ class Counted:
 
     def smoothing(self, number: int) -> None:
         pass
+
+
+class TrackingProgress:
+    """A progress bar on stderr, where that is no terminal a line every twenty seconds: frames, frames per second, inliers.
+
+    A context manager; `update` is what `track_session` takes as `on_frame`.
+
+    Args:
+        cameras: how many.
+        frames: how many, with those that are skipped; None when nobody knows.
+        objects: `update` is called for each of them.
+        quiet: nothing is shown.
+    """
+
+    def __init__(self, cameras: int, frames: int | None, objects: int = 1, *, quiet: bool = False) -> None:
+        self._updates, self._skipped, self._objects = 0, 0, objects
+        self._said = time.monotonic()
+        console = make_console(stderr=True, quiet=quiet)
+        self._quiet = quiet
+        self._progress = Bar(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn(f"{cameras} camera{'s' if cameras > 1 else ''}"),
+            TextColumn("{task.fields[rate]}"),
+            TextColumn("{task.fields[inliers]}"),
+            TimeRemainingColumn(compact=True),
+            console=console,
+            transient=True,
+            disable=quiet or not console.is_terminal,
+        )
+        self._task = self._progress.add_task("Tracking", total=frames, rate="", inliers="")
+
+    def __enter__(self) -> TrackingProgress:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """Takes the bar away; twice does no harm."""
+        self._progress.stop()
+
+    @property
+    def tracked(self) -> int:
+        """Frames that all objects are tracked in."""
+        return self._updates // self._objects
+
+    @property
+    def done(self) -> int:
+        """Frames, those included that an earlier run has tracked."""
+        return self._skipped + self.tracked
+
+    def skip(self, frames: int) -> None:
+        """Frames that an earlier run has tracked."""
+        self._skipped = frames
+        self._progress.update(self._task, completed=frames)
+
+    def smoothing(self, number: int) -> None:
+        """One round more in which all poses are refined together."""
+        self._progress.update(self._task, description="Refining", total=None, rate=f"round {number}", inliers="")
+
+    def update(self, tracked: TrackedFrame) -> None:
+        """One frame of one object more."""
+        self._updates += 1
+        pose = tracked.pose
+        measured = pose.measured and pose.status is not FrameStatus.FIRST
+        inliers = f"{int(pose.inliers.sum())} inliers" if measured else pose.reason or pose.status.value
+        elapsed = self._progress.tasks[0].elapsed
+        rate = f"{self.tracked / elapsed:.1f} frames/s" if elapsed else ""
+        self._progress.update(self._task, completed=self.done, rate=rate, inliers=inliers)
+        now = time.monotonic()
+        if self._progress.disable and not self._quiet and now - self._said >= BETWEEN_LINES:
+            self._said = now
+            total = self._progress.tasks[0].total
+            of = "" if total is None else f" of {total:.0f}"
+            say(f"tracked {self.done}{of} frames, {rate or 'no rate yet'}, {inliers}")
 
 
 class NotebookLine(Counted):

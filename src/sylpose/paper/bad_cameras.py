@@ -104,7 +104,7 @@ class Diagnosis(Told):
     faults: tuple[Fault | None, ...]
 
     def _told(self) -> Telling:
-        return Telling(self.text, [("at fault", fault.text) for fault in self.faults if fault is not None])
+        return Telling(self.text)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -133,8 +133,7 @@ class RobustSolution(RotationEstimate):
         return self.diagnosis.faults
 
     def _told_besides(self) -> list[tuple[str, str]]:
-        at_fault = [("at fault", fault.text) for fault in self.faults if fault is not None]
-        return [("cameras", self.diagnosis.text), *at_fault]
+        return [("cameras", self.diagnosis.text)]
 
 
 def solve_robust(
