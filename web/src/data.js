@@ -7,7 +7,7 @@ const shorts = (text) => new Int16Array(bytes(text));
 const parsed = (id) => JSON.parse(document.getElementById(id).textContent);
 
 const FLOATS = [
-  "time", "place", "turned", "sigma", "angle", "turn", "inliers", "residuals", "matches", "doubt", "corners", "eyes",
+  "time", "place", "turned", "sigma", "angle", "turn", "inliers", "residuals", "matches", "doubt", "sheets", "eyes",
   "looks", "points",
 ];
 const INTS = ["index", "status", "reason", "fault", "pointCameras"];

@@ -11,6 +11,8 @@ import { LineSegments2 } from "three/addons/lines/LineSegments2.js";
 import { LineSegmentsGeometry } from "three/addons/lines/LineSegmentsGeometry.js";
 import { css, digits3, kindColor, make, readable } from "./data.js";
 
+// Degrees, from top to bottom.
+const FIELD = 38;
 const AXIS_VARIABLES = ["--x", "--y", "--z"];
 
 export function makeViewer(box, data, images) {
@@ -18,7 +20,10 @@ export function makeViewer(box, data, images) {
   const [right, ahead, up] = data.axes.map((row) => new Vector3(...row));
   const vector = (array, k) => new Vector3(array[3 * k], array[3 * k + 1], array[3 * k + 2]).multiplyScalar(scale);
   const eyes = data.cameras.map((_, c) => vector(data.eyes, c));
-  const corners = data.cameras.map((_, c) => [0, 1, 2, 3].map((k) => vector(data.corners, 4 * c + k)));
+  // The end of each camera's frustum, by rows; what a lens bends is bent back.
+  const g = data.grid;
+  const sheets = data.cameras.map((_, c) => Array.from({ length: g * g }, (__, k) => vector(data.sheets, g * g * c + k)));
+  const corners = sheets.map((sheet) => [0, g - 1, g * g - 1, g * (g - 1)].map((k) => sheet[k]));
   const places = data.hasPose.map((has, k) => (has ? vector(data.place, k) : null));
   const radius = data.axisLength * scale;
 
@@ -32,7 +37,7 @@ export function makeViewer(box, data, images) {
   box.prepend(canvas, labels);
 
   const world = new Scene();
-  const eye = new PerspectiveCamera(38, 1, 0.002, 200);
+  const eye = new PerspectiveCamera(FIELD, 1, 0.002, 200);
   eye.up.copy(up);
   const controls = new OrbitControls(eye, canvas);
   // The wheel scrolls the page until somebody has clicked into the view.
@@ -44,9 +49,11 @@ export function makeViewer(box, data, images) {
 
   const named = [];
   // --- what stands -----------------------------------------------------------------------------------------------------
-  const standing = [...eyes, ...corners.flat(), ...places.filter(Boolean), new Vector3()];
+  // What is only believed may be anywhere, and is not what the view is made to fit.
+  const sure = places.filter((p, k) => p && ["tracked", "again"].includes(data.kinds[k]));
+  const standing = [...eyes, ...corners.flat(), ...sure, new Vector3()];
   const far = Math.max(...standing.map((p) => p.length()), 3 * radius);
-  const low = Math.min(...places.filter(Boolean).map((p) => p.dot(up)), 0) - 1.15 * radius;
+  const low = Math.min(...sure.map((p) => p.dot(up)), 0) - 1.15 * radius;
   const steps = 10 ** Math.floor(Math.log10(far / scale / 4));
   const spacing = [5, 2, 1].map((m) => m * steps).find((s) => far / scale / s >= 4) ?? steps;
   const cells = Math.ceil(far / scale / spacing);
@@ -89,15 +96,21 @@ export function makeViewer(box, data, images) {
   }
 
   const pictures = data.cameras.map((name, c) => {
-    const [a, b, d, e] = corners[c];
     const o = eyes[c];
-    const edges = [o, a, o, b, o, d, o, e, a, b, b, d, d, e, e, a];
+    const sheet = sheets[c];
+    const edges = corners[c].flatMap((corner) => [o, corner]);
+    for (let k = 0; k + 1 < g; k++) {
+      for (const [from, step] of [[0, 1], [g * (g - 1), 1], [0, g], [g - 1, g]]) {
+        edges.push(sheet[from + k * step], sheet[from + (k + 1) * step]);
+      }
+    }
     world.add(lines(edges, 1.8, () => readable(data.colors[c])));
     const behind = new Vector3(data.looks[3 * c], data.looks[3 * c + 1], data.looks[3 * c + 2]).multiplyScalar(-0.02);
     label(name, o.clone().add(behind), "camera", c);
     const geometry = new BufferGeometry();
-    geometry.setAttribute("position", new Float32BufferAttribute([a, e, d, a, d, b].flatMap((p) => p.toArray()), 3));
-    geometry.setAttribute("uv", new Float32BufferAttribute([0, 1, 0, 0, 1, 0, 0, 1, 1, 0, 1, 1], 2));
+    geometry.setAttribute("position", new Float32BufferAttribute(sheet.flatMap((p) => p.toArray()), 3));
+    geometry.setAttribute("uv", new Float32BufferAttribute(sheet.flatMap((_, k) => [(k % g) / (g - 1), 1 - Math.floor(k / g) / (g - 1)]), 2));
+    geometry.setIndex(sheet.flatMap((_, k) => (k % g < g - 1 && k < g * (g - 1) ? [k, k + g, k + 1, k + 1, k + g, k + g + 1] : [])));
     const mesh = new Mesh(geometry, new MeshBasicMaterial({ side: DoubleSide, transparent: true, opacity: 0.92 }));
     mesh.visible = false;
     world.add(mesh);
@@ -209,7 +222,7 @@ export function makeViewer(box, data, images) {
     const span = (v) => seen.map((p) => p.dot(v)).reduce(([a, b], x) => [Math.min(a, x), Math.max(b, x)], [Infinity, -Infinity]);
     const target = new Vector3();
     for (const v of [side, over, back]) target.addScaledVector(v, span(v).reduce((a, b) => a + b) / 2);
-    const slope = 0.84 * Math.tan((0.5 * eye.fov * Math.PI) / 180);
+    const slope = 0.84 * Math.tan((0.5 * FIELD * Math.PI) / 180);
     const away = Math.max(...seen.map((p) => {
       const from = p.clone().sub(target);
       return from.dot(back) + Math.max(Math.abs(from.dot(side)) / eye.aspect, Math.abs(from.dot(over))) / slope;
@@ -217,12 +230,28 @@ export function makeViewer(box, data, images) {
     controls.target.copy(target);
     eye.position.copy(target).addScaledVector(back, away);
     const c = view.startsWith("camera ") ? Number(view.slice(7)) : -1;
-    if (c >= 0) {
-      eye.position.copy(eyes[c]);
-      controls.target.copy(eyes[c]).addScaledVector(vector(data.looks, c).multiplyScalar(data.reach), eyes[c].length());
-    }
+    eye.up.copy(up);
+    eye.fov = FIELD;
+    if (c >= 0) through(c);
+    // Through a camera, its image is behind all that is drawn.
+    pictures.forEach((mesh, k) => {
+      mesh.renderOrder = k === c ? -1 : 0;
+      mesh.material.depthTest = mesh.material.depthWrite = k !== c;
+    });
+    eye.updateProjectionMatrix();
     controls.update();
     draw();
+  }
+
+  // As a camera sees it, with its whole image in the view.
+  function through(c) {
+    const [a, b, , d] = corners[c];
+    const look = vector(data.looks, c).multiplyScalar(data.reach);
+    const deep = a.clone().sub(eyes[c]).dot(look);
+    eye.position.copy(eyes[c]);
+    eye.up.copy(a).sub(d).normalize();
+    eye.fov = (360 / Math.PI) * Math.atan((0.52 * Math.max(a.distanceTo(d), a.distanceTo(b) / eye.aspect)) / deep);
+    controls.target.copy(eyes[c]).addScaledVector(look, 1);
   }
 
   function resize() {

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from sylpose.numerics.angles import Angles
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.report.plots import X_COLOR, Y_COLOR, Z_COLOR, angle_labels, angles_of_frames, camera_colors, readable
-from sylpose.report.scene import Scene, Stills
+from sylpose.report.scene import GRID, Scene, Stills
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Camera, Rig
 
@@ -118,7 +118,8 @@ def data_of(trajectory: Trajectory, scene: Scene, angles: Angles) -> dict[str, A
         "reach": scene.reach,
         "axes": scene.axes.tolist(),
         "axisLength": scene.axis_length,
-        "corners": _packed(scene.corners - scene.center),
+        "grid": GRID,
+        "sheets": _packed(scene.sheets - scene.center),
         "eyes": _packed(scene.world_from_camera[:, :3, 3] - scene.center),
         "looks": _packed(scene.world_from_camera[:, :3, 2]),
         "sizes": scene.sizes.tolist(),
