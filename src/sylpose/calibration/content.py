@@ -12,7 +12,7 @@ from sylpose.reading import MAX_TEXT, parsed_toml, text_of, told
 
 __all__ = ["Content", "beside", "content_of", "documents_beside", "plain_of", "text_in"]
 
-Kind = Literal["toml", "plain", "xml", "csv", "unknown"]
+Kind = Literal["toml", "plain", "xml", "unknown"]
 # Of XML that is not OpenCV's, bytes (choice: masks and thresholds of a hundred cameras of a motion capture system).
 MAX_XML = 2**24
 # Files of one camera each (choice: more than rigs have).
@@ -24,7 +24,7 @@ class Content(NamedTuple):
     """A file's content by its kind.
 
     Attributes:
-        kind: "toml"; "plain": YAML, JSON or OpenCV's XML; "xml": any other; "csv"; "unknown".
+        kind: "toml"; "plain": YAML, JSON or OpenCV's XML; "xml": any other; "unknown".
         data: a dict; plain values; the root's `Element`; the text.
     """
 
@@ -58,7 +58,7 @@ def content_of(path: Path) -> Content:
             return Content("plain", from_yaml(text))
         if suffix == ".toml":
             raise ValueError(f"not valid TOML: {error}") from None
-        return Content("csv" if suffix == ".csv" else "unknown", text)
+        return Content("unknown", text)
 
 
 def text_in(path: Path) -> str:

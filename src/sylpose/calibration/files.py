@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 from sylpose.calibration.build import Sizes
-from sylpose.calibration.formats import told_format
+from sylpose.calibration.formats import stands_for, told_format
 from sylpose.calibration.written import format_for
 from sylpose.files import output_folder, replacing
 from sylpose.reading import told
@@ -14,6 +15,17 @@ from sylpose.rig import Rig
 
 __all__ = ["find", "format_of", "is_calibration_name", "load", "save"]
 
+# Names that other programs give to their calibrations.
+_PROGRAMS = (
+    r".*camchain.*\.ya?ml",
+    r".*\.(?:qca\.txt|xcp|mcal)",
+    r"transforms\.json",
+    r"intri(?:nsics)?\.(?:ya?ml|json|xml)",
+    r"rig_config\.json",
+    r"cameras\.bin",
+    r"stereo_params\.pickle",
+    r"camera1\.Pmat\.cal",
+)
 SUFFIXES = (".toml", ".yml", ".yaml", ".json", ".xml")
 
 
@@ -21,7 +33,8 @@ def find(folder: str | os.PathLike[str]) -> Path:
     """The one calibration in a session's folder, by name.
 
     A calibration is called `camera_array`, `cameras` or `rig`, or begins or ends with `calib` or `calibration`
-    (calibration.toml, Calib_scene.toml, camera_calibration.yml), and is TOML, YAML, JSON or XML.
+    (calibration.toml, Calib_scene.toml, camera_calibration.yml), and is TOML, YAML, JSON or XML. Where there is none, it is
+    called as another program calls its own (camchain.yaml, take.xcp, intri.yml), or is a folder `calib...` or `sparse/0`.
 
     Raises:
         FileNotFoundError: no such folder.
@@ -30,11 +43,15 @@ def find(folder: str | os.PathLike[str]) -> Path:
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
-    found = sorted(path for path in folder.iterdir() if path.is_file() and is_calibration_name(path))
+    files = sorted(path for path in folder.iterdir() if path.is_file())
+    found = [path for path in files if _is_called_so(path)] or [path for path in files if _is_of_a_program(path)]
+    if not found:
+        inner = sorted(path for path in folder.iterdir() if path.is_dir() and path.name.lower().startswith("calib"))
+        found = [path for path in (*inner, folder / "sparse" / "0") if stands_for(path)]
     if not found:
         raise ValueError(
             f"{folder}: no calibration in it; expected one such as calibration.toml, camera_array.toml, "
-            "calibration.yml, .json or .xml"
+            "calibration.yml, .json or .xml, or as another program calls its own (camchain.yaml, intri.yml, take.xcp)"
         )
     if len(found) > 1:
         raise ValueError(
@@ -108,6 +125,15 @@ def save(rig: Rig, path: str | os.PathLike[str], to: str | None = None) -> list[
 
 def is_calibration_name(path: Path) -> bool:
     """Whether `find` takes a file of this name for a calibration."""
+    return _is_called_so(path) or _is_of_a_program(path)
+
+
+def _is_of_a_program(path: Path) -> bool:
+    """intri.yml and intrinsics.yml stand for the two of them."""
+    return any(re.fullmatch(pattern, path.name, re.IGNORECASE) for pattern in _PROGRAMS)
+
+
+def _is_called_so(path: Path) -> bool:
     stem = path.stem.lower()
     named = stem in ("camera_array", "cameras", "rig") or stem.startswith("calib")
     return path.suffix.lower() in SUFFIXES and (named or stem.endswith(("calib", "calibration")))

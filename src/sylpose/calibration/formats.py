@@ -33,7 +33,7 @@ from sylpose.calibration.content import content_of
 from sylpose.reading import told
 from sylpose.rig import Rig
 
-__all__ = ["FORMATS", "Format", "told_format"]
+__all__ = ["FORMATS", "Format", "stands_for", "told_format"]
 
 
 class Format(NamedTuple):
@@ -86,13 +86,21 @@ FORMATS: dict[str, tuple[Format, ...]] = {
         Format("OptiTrack MCAL", optitrack.is_optitrack, optitrack.read),
         Format("Metashape XML", metashape.is_metashape, metashape.read),
     ),
-    "csv": (),
     "unknown": (),
 }
 KNOWN = (
-    "known are sylpose, Anipose and Caliscope TOML, OpenCV FileStorage YAML, JSON and XML with a node per camera or a "
-    "sequence 'cameras', and OpenCV stereo"
+    "known are sylpose, Anipose and Caliscope TOML, OpenCV (nodes of cameras, or stereo), Kalibr, COLMAP, ROS, JARVIS, "
+    "Qualisys, Vicon, OptiTrack, EasyMocap, MultiCamSelfCal, Matlab, Metashape, NeRF and DeepLabCut"
 )
+# Files of programs whose calibrations are read in another form, by their names' ends.
+_IN_ANOTHER_FORM = {
+    ".mat": "a Matlab file, which is not read; write stereoParams as JSON, jsonencode(toStruct(stereoParams))",
+    ".cal": "a .cal is not read; of OptiTrack, .mcal is (of Motive 3.2 and newer), of MultiCamSelfCal camera1.Pmat.cal, ...",
+    ".csv": "a table is not read as a calibration; of OptiTrack, .mcal is (of Motive 3.2 and newer)",
+    **dict.fromkeys(
+        (".npy", ".npz"), "NumPy's arrays are not read, whose names are anybody's; write a calibration.toml"
+    ),
+}
 
 
 class Told(NamedTuple):
@@ -123,22 +131,23 @@ def told_format(path: Path) -> Told:
         OSError: it cannot be read.
         ValueError: it is of no format that is known.
     """
-    path = standing_for(path) if path.is_dir() else path
+    if path.is_dir():
+        if (file := stands_for(path)) is None:
+            raise ValueError(f"{path}: no calibration of a known format in this folder; {KNOWN}")
+        path = file
     with told(path):
         return _told_format(path)
 
 
-def standing_for(folder: Path) -> Path:
-    """The file of a calibration that is a folder by which it can be told and read.
-
-    Raises:
-        ValueError: naming the folder, where there is none.
-    """
+def stands_for(folder: Path) -> Path | None:
+    """The file of a calibration that is a folder by which it can be told and read; None where there is none."""
+    if not folder.is_dir():
+        return None
     files = [file for file in sorted(folder.iterdir()) if file.is_file() and not file.name.startswith(".")]
     for pattern in IN_FOLDERS:
         if found := [file for file in files if re.fullmatch(pattern, file.name, re.IGNORECASE)]:
             return found[0]
-    raise ValueError(f"{folder}: no calibration of a known format in this folder; {KNOWN}")
+    return None
 
 
 def _told_format(path: Path) -> Told:
@@ -147,6 +156,8 @@ def _told_format(path: Path) -> Told:
     for format_ in NAMED:
         if format_.tells(path):
             return Told(format_, path, None)
+    if said := _IN_ANOTHER_FORM.get(path.suffix.lower()):
+        raise ValueError(said)
     kind, data = content_of(path)
     for format_ in FORMATS[kind]:
         if format_.tells(data):
