@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sylpose.capture import Session, live, open_session
 
-__all__ = ["check_out", "open_asked", "open_recorded"]
+__all__ = ["camera_files", "check_out", "open_asked", "open_recorded"]
 
 
 def open_recorded(
@@ -27,7 +27,7 @@ def open_recorded(
         ValueError, FileNotFoundError: as `open_session` and `Rig.in_unit`; an offset that is not CAMERA=FRAMES, a camera
             that is not NAME=FILE.
     """
-    cameras = _cameras(camera)
+    cameras = camera_files(camera)
     opened = open_session(
         path,
         calibration=calibration,
@@ -100,7 +100,12 @@ def check_out(session: Session | live.LiveSession, out: Path) -> None:
         raise ValueError(f"--out {out}: the masks are there ({session.masks})")
 
 
-def _cameras(given: Sequence[str] | None) -> dict[str, str] | None:
+def camera_files(given: Sequence[str] | None) -> dict[str, str] | None:
+    """What `--camera NAME=FILE` says, by name.
+
+    Raises:
+        ValueError: something else, or a name twice.
+    """
     cameras: dict[str, str] = {}
     for text in given or ():
         name, _, file = text.partition("=")
