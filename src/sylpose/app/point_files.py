@@ -26,6 +26,8 @@ LARGEST, MOST_POINTS = 1 << 26, 1_000_000
 MOST_MARKERS = 10_000
 # Corners of a marker are square to this share of its side (choice: three decimals), and its axes to this cosine.
 SQUARE, ACROSS = 0.02, 1e-3
+# Bytes that PLY's header has at most (choice).
+PLY_HEADER = 1 << 14
 _COLUMNS = ("name", "x", "y", "z")
 
 
@@ -268,8 +270,8 @@ _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 def _from_ply(path: Path) -> PointModel:
     data = bytes_of(path, LARGEST)
-    head, found, body = data.partition(b"end_header")
-    body = body[body.find(b"\n") + 1 :]
+    head, found, _ = data[:PLY_HEADER].partition(b"end_header")
+    body = data[data.find(b"\n", len(head)) + 1 :]
     lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
     if not found or lines[:1] != [["ply"]]:
         raise ValueError("not PLY: its header is missing")
