@@ -80,7 +80,7 @@ def test_it_is_found_where_it_is_within_its_covariance(text: str) -> None:
 def test_a_part_of_it_is_enough(text: str) -> None:
     """A half of the image is hidden; no point is invented there."""
     board = parse_board(text, "m")
-    parts = 0
+    parts = located = 0
     for seed in range(3):
         rig, truth = above(board, 2, np.random.default_rng([seed, 6]), size=(400, 300))
         images = [image.copy() for image in rendered(rig, board, truth, seed=seed)]
@@ -93,8 +93,13 @@ def test_a_part_of_it_is_enough(text: str) -> None:
             assert (pixels[:, 0] < 210).all()
             if len(pixels):
                 assert np.abs(camera.project(truth.apply(points)) - pixels).max() < 1.0
+        if found.motion.status is Status.TURN_NOT_OBSERVABLE:
+            assert len(found.cameras) == 1  # of few points, whose mirror image is about as likely
+            continue
+        located += 1
         assert np.degrees(np.linalg.norm(error(found, board, truth)[:3])) < 0.5
     assert parts >= 4
+    assert located >= 2
 
 
 def test_nothing_is_found_where_there_is_none() -> None:

@@ -17,6 +17,7 @@ from sylpose.known_model.pose_frame import frame_pose
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.robust import chi_squared_bound
 from sylpose.results import Status
+from sylpose.sync.offsets import find_offsets, retimed
 from sylpose.units import FIRST_DISTANCES
 
 __all__ = ["board_frame"]
@@ -51,6 +52,8 @@ def board_frame(result: Result, recording: Path, text: str) -> Found:
             f"--board {text}: it looks the same after a turn, so that it tells no axes; markers and ChArUco do"
         )
     session = open_session(recording).with_rig(result.rig)
+    offsets = find_offsets(session)
+    session = retimed(session, [offsets.get(name, 0.0) for name in session.rig.names])
     known = [pose.index for pose in result.trajectory if pose.measured and pose.index < session.n_frames]
     if not known:
         raise ValueError(f"{result.path}: the object's pose is known in no frame of {recording}")

@@ -12,7 +12,7 @@ from sylpose.app.world import WorldAsked, world_of_session
 from sylpose.capture import Session, live, open_session
 from sylpose.capture.session import SessionBase
 
-__all__ = ["check_out", "open_asked", "open_recorded"]
+__all__ = ["camera_files", "check_out", "open_asked", "open_recorded"]
 
 Opened = TypeVar("Opened", bound=SessionBase)
 
@@ -34,7 +34,7 @@ def open_recorded(
         ValueError, OSError: as `open_session`, `world_of_session` and `Rig.in_unit`; an offset that is not CAMERA=FRAMES, a
             camera that is not NAME=FILE.
     """
-    cameras = _cameras(camera)
+    cameras = camera_files(camera)
     opened = open_session(
         path,
         calibration=calibration,
@@ -116,7 +116,12 @@ def check_out(session: Session | live.LiveSession, out: Path) -> None:
         raise ValueError(f"--out {out}: the masks are there ({session.masks})")
 
 
-def _cameras(given: Sequence[str] | None) -> dict[str, str] | None:
+def camera_files(given: Sequence[str] | None) -> dict[str, str] | None:
+    """What `--camera NAME=FILE` says, by name.
+
+    Raises:
+        ValueError: something else, or a name twice.
+    """
     cameras: dict[str, str] = {}
     for text in given or ():
         name, _, file = text.partition("=")

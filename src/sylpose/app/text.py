@@ -19,6 +19,7 @@ from sylpose.reading import SENTENCE, one_line
 from sylpose.report.disagreement import remarks
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 from sylpose.told import length
+from sylpose.units import FIRST_DISTANCES
 
 if TYPE_CHECKING:  # loading these takes a second
     from sylpose.app.outcome import Run
@@ -144,7 +145,8 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
     again = sum(f.status is FrameStatus.RELOCALISED for f in trajectory)
     said = f"{found} of {len(trajectory)} frames" + (f" ({again} relocalised)" if again else "")
     rest = Counter(f.status for f in trajectory if not f.measured)
-    facts = [("Tracked", ", ".join([said, *(f"{status.value} {n}" for status, n in rest.most_common())]))]
+    label = "Found" if any(f.status is FrameStatus.FOUND for f in trajectory) else "Tracked"
+    facts = [(label, ", ".join([said, *(f"{status.value} {n}" for status, n in rest.most_common())]))]
     facts += [("" if k else "Not found", said) for k, said in enumerate(_why_not(trajectory))]
     if found < 2:
         return facts
@@ -155,9 +157,8 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
     moved = length(float(np.linalg.norm(positions[-1] - positions[0])), trajectory.unit)
     path = length(float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()), trajectory.unit)
     facts.append(("Moved", f"{moved} from the first to the last solved frame, along a path of {path}"))
-    one_camera = len(trajectory.camera_names) == 1
     open_scale = sum(f.observable is Observable.NO_SCALE for f in trajectory)
-    if one_camera and open_scale:
+    if open_scale and trajectory.unit == FIRST_DISTANCES:
         facts.append(("Scale", "not observable with one camera: lengths are in units of the object's first distance"))
     elif open_scale:
         facts.append(("Scale", f"not observable in {open_scale} frames: how far the object moved in them is not known"))

@@ -123,9 +123,7 @@ def taken_in(information: FloatArray, step: FloatArray, dearer: float) -> FloatA
     return step[:, None] * np.sqrt(1.0 / most - 1.0 / square) if square > most else np.empty((6, 0))
 
 
-def _ways(
-    stack: Stack, found: Reweighted, radius: float, scale: FloatArray
-) -> tuple[float, FloatArray, FloatArray]:
+def _ways(stack: Stack, found: Reweighted, radius: float, scale: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     """The directions that are hardly seen.
 
     Args:
