@@ -137,8 +137,8 @@ class ScenePage:
             room = np.tan(FOV / 2) * np.array([[ASPECT], [1.0]])
             away = float((eyes @ view + np.abs(np.stack([beside, eyes @ above])) / room).max())
             blocked = (eyes @ view > 0) & (np.hypot(beside, eyes @ above) < FREE)
-            # Rather from behind the cameras than from their other side, where both are as good.
-            rank = away + 10.0 * float(blocked.sum()) + 0.05 * abs(float(angle))
+            # Rather from behind the cameras, which shows their images, than from their other side.
+            rank = away + 10.0 * float(blocked.sum()) + 0.3 * abs(float(angle))
             if rank < nearest:
                 best, nearest = AROUND * max(away, 1.0) * view, rank
         return np.asarray(best)
