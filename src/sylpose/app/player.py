@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -52,9 +52,9 @@ class Player:
         self._began: tuple[float, float] | None = None  # of playing: by the clock, and in the recording
         gui = server.gui
         gui.add_markdown(f"**{plain(title)}**")
-        self.slider = gui.add_slider("Frame", 0, max(len(self.index) - 1, 1), 1, 0)
+        self.slider = gui.add_slider("Frame", min=0, max=max(len(self.index) - 1, 1), step=1, initial_value=0)
         self.button = gui.add_button("Play", icon="player-play")
-        self._speed = gui.add_dropdown("Speed", tuple(SPEEDS), "1")
+        self._speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1")
         self.words = gui.add_markdown("")
         add_views(server, self.page, [*scenes], next(iter(scenes.values())).cameras)
         add_layers(server, self.page, self._again)
@@ -92,7 +92,11 @@ class Player:
         index = int(self.index[k])
         time_of = f", {self._seconds[k]:.3f} s" if self._seconds is not None else ""
         parts = [f"Frame {index}{time_of}, {k + 1} of {len(self.index)}"]
-        parts += [said_of(scene, index, name, self.page.larger(name)) for name, scene in self._scenes.items()]
+        for name, scene in self._scenes.items():
+            if (row := row_of(scene, index)) is not None:
+                pose, covariance = scene.world_from_object[row], scene.covariance[row]
+                status, reason = FrameStatus(scene.status[row]), scene.reason[row]
+                parts.append(said_of(name, scene.unit, status, reason, pose, covariance, self.page.larger(name)))
         return "\n\n".join(parts)
 
     def play(self, playing: bool) -> None:
@@ -138,7 +142,8 @@ def staged(server: Any, scenes: Mapping[str, Scene], rig: Rig) -> ScenePage:
         variances = np.diagonal(scene.covariance[:, 3:, 3:], axis1=1, axis2=2)
         sizes = np.sqrt(variances[scene.measured].max(axis=1, initial=0.0))
         sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
-        page.add(name, scene.axis_length, float(np.quantile(sizes, 0.9)) if len(sizes) else np.nan)
+        page.add(name)
+        page.sized(name, scene.axis_length, float(np.quantile(sizes, 0.9)) if len(sizes) else np.nan)
         page.points(name, scene.points, scene.point_colors)
         page.path(name, scene.world_from_object[:, :3, 3], scene.status)
     return page
@@ -168,25 +173,25 @@ def place(page: ScenePage, scenes: Mapping[str, Scene], index: int) -> None:
                 page.pose(name, scene.world_from_object[k], scene.covariance[k])
 
 
-def said_of(scene: Scene, index: int, name: str, larger: float) -> str:
-    """What is known of an object in a frame, as Markdown."""
-    k = row_of(scene, index)
-    status = None if k is None else FrameStatus(scene.status[k])
-    posed = k is not None and bool(np.isfinite(scene.world_from_object[k]).all())
-    color = status_color(status.value) if posed and status is not None else NOTHING
-    head = f"<span style='color:rgb{color}'>⬤</span> **{plain(name)}{': ' if name else ''}"
-    if k is None or status is None:
-        return f"{head}not tracked**"
-    lines = [f"{head}{status.value}**", plain(scene.reason[k] or status.text)]
+def said_of(
+    name: str, unit: str, status: FrameStatus, reason: str, pose: FloatArray, covariance: FloatArray, larger: float
+) -> str:
+    """What is known of an object in a frame, as Markdown: its pose (4, 4), NaN without one; how many times as large as they
+    are its standard deviations are drawn."""
+    posed = bool(np.isfinite(pose).all())
+    color = status_color(status.value) if posed else NOTHING
+    lines = [
+        f"<span style='color:rgb{color}'>⬤</span> **{plain(name)}{': ' if name else ''}{status.value}**",
+        plain(reason or status.text),
+    ]
     if posed:
-        sigma = np.sqrt(np.maximum(np.diagonal(scene.covariance[k]), 0.0))
-        at = ", ".join(f"{v:.4g}" for v in scene.world_from_object[k, :3, 3])
-        lines.append(f"at {at} {plain(scene.unit)}")
+        sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        lines.append(f"at {', '.join(f'{v:.4g}' for v in pose[:3, 3])} {plain(unit)}")
         if not np.isfinite(sigma).all():
             lines.append("how well its pose is known has no bound")
         elif sigma.any():
             turn, shift = np.degrees(np.linalg.norm(sigma[:3])), float(np.linalg.norm(sigma[3:]))
-            lines.append(f"known to {turn:.2g}° and {length(shift, plain(scene.unit))}")
+            lines.append(f"known to {turn:.2g}° and {length(shift, plain(unit))}")
             lines.append(f"(drawn {DEVIATIONS * larger:.0f} times as large)")
     return "  \n".join(lines)
 
@@ -194,7 +199,7 @@ def said_of(scene: Scene, index: int, name: str, larger: float) -> str:
 def add_views(server: Any, page: ScenePage, objects: Sequence[str], cameras: Sequence[str]) -> None:
     """From where it is looked at: for each who does so by himself."""
     near = {f"{name or 'the object'}, from near": name for name in objects}
-    views = server.gui.add_dropdown("See", (ALL, *near, *cameras), ALL)
+    views = server.gui.add_dropdown("See", (ALL, *near, *cameras), initial_value=ALL)
 
     def look(event: Any) -> None:
         if event.client is not None:
@@ -204,11 +209,11 @@ def add_views(server: Any, page: ScenePage, objects: Sequence[str], cameras: Seq
     views.on_update(look)
 
 
-def add_layers(server: Any, page: ScenePage, changed: Any) -> None:
+def add_layers(server: Any, page: ScenePage, changed: Callable[[], None]) -> None:
     """What is to be seen; `changed` is called after a change."""
     with server.gui.add_folder("Layers"):
         for layer in LAYERS:
-            box = server.gui.add_checkbox(layer, True)
+            box = server.gui.add_checkbox(layer, initial_value=True)
 
             def toggle(_: Any, layer: str = layer, box: Any = box) -> None:
                 page.visible[layer] = box.value
@@ -216,7 +221,7 @@ def add_layers(server: Any, page: ScenePage, changed: Any) -> None:
                 changed()
 
             box.on_update(toggle)
-        dark = server.gui.add_checkbox("Dark", False)
+        dark = server.gui.add_checkbox("Dark", initial_value=False)
 
         def darken(_: Any) -> None:
             server.gui.configure_theme(dark_mode=dark.value, **THEME)

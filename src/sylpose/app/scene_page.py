@@ -31,8 +31,8 @@ MOST_POINTS = 20_000
 DEVIATIONS, DOUBT_SIZE = 2.0, 0.7
 # How deep a camera's frustum is, in the cameras' distances (choice).
 FRUSTUM = 0.16
-# The first look, chosen: its field of view from top to bottom, a page's width, how high it is, the room around, and how near to
-# the line to the middle a camera is in the way, in the cameras' distances.
+# The first look, in the cameras' distances: its field of view from top to bottom, a page's width, how high it is, the room
+# around, and how near to the line to the middle a camera is in the way (choice).
 FOV, ASPECT, ELEVATION, AROUND, FREE = np.deg2rad(40.0), 1.15, np.deg2rad(33.0), 1.15, 0.35
 # How far an object is seen from that is looked at from near, in its radii (choice).
 NEAR = 5.5
@@ -70,8 +70,8 @@ class Nodes:
     points: Any
     doubt: Any
     path: dict[Rgb, Any]
-    larger: float
-    size: float
+    larger: float = 1.0
+    size: float = 0.0
     places: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     posed: bool = False
     doubtful: bool = False
@@ -96,6 +96,9 @@ class ScenePage:
         self._seen_from: int | None = None
         right, ahead, up = scene.axes
         self._api.set_up_direction(tuple(up))
+        # Nothing is drawn that would be prettier for reflections and shadows, which slow graphics pay for with seconds.
+        self._api.configure_default_lights(cast_shadow=False)
+        self._api.configure_environment_map(hdri=None)
         server.initial_camera.fov = FOV
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
         server.initial_camera.position = tuple(self._first_look())
@@ -134,8 +137,8 @@ class ScenePage:
             room = np.tan(FOV / 2) * np.array([[ASPECT], [1.0]])
             away = float((eyes @ view + np.abs(np.stack([beside, eyes @ above])) / room).max())
             blocked = (eyes @ view > 0) & (np.hypot(beside, eyes @ above) < FREE)
-            # Rather from behind the cameras than from their other side, where both are as good.
-            rank = away + 10.0 * float(blocked.sum()) + 0.05 * abs(float(angle))
+            # Rather from behind the cameras, which shows their images, than from their other side.
+            rank = away + 10.0 * float(blocked.sum()) + 0.3 * abs(float(angle))
             if rank < nearest:
                 best, nearest = AROUND * max(away, 1.0) * view, rank
         return np.asarray(best)
@@ -190,18 +193,14 @@ class ScenePage:
         self._images[c].position = tuple(self._at(pose[:3, 3]) + depth * pose[:3, :3] @ middle)
         self._images[c].scale = depth
 
-    def add(self, name: str, radius: float, usual_sd: float = np.nan) -> None:
-        """An object: its radius, and how far off its place usually is, one standard deviation, in the scene's unit."""
-        size = radius / self._scene.reach
+    def add(self, name: str) -> None:
+        """An object, of which nothing is known yet."""
         key = f"/object{len(self._objects)}"
-        axes = self._api.add_frame(
-            key, axes_length=1.25 * size, axes_radius=0.03 * size, origin_radius=0.05 * size, visible=False
-        )
+        axes = self._api.add_frame(key, visible=False)
         points = self._api.add_point_cloud(
             f"{key}/points",
             np.zeros((1, 3), np.float32),
             (0, 0, 0),
-            point_size=0.02 * size,
             point_shape="circle",
             precision="float32",
             visible=False,
@@ -220,9 +219,17 @@ class ScenePage:
             )
             for k, color in enumerate((SEEN, *_COLORS.values()))
         }
+        self._objects[name] = Nodes(axes, points, doubt, path)
+        self.sized(name, self._scene.axis_length)
+
+    def sized(self, name: str, radius: float, usual_sd: float = np.nan) -> None:
+        """An object's radius, and how far off its place usually is, one standard deviation, in the scene's unit."""
+        nodes, size = self._objects[name], radius / self._scene.reach
+        nodes.size = size
+        nodes.axes.axes_length, nodes.axes.axes_radius, nodes.axes.origin_radius = 1.25 * size, 0.03 * size, 0.05 * size
+        nodes.points.point_size = 0.02 * size
         wanted = DOUBT_SIZE * radius / (DEVIATIONS * usual_sd) if usual_sd > 0 else 1.0
-        larger = max(1.0, 10.0 ** np.floor(np.log10(wanted)))
-        self._objects[name] = Nodes(axes, points, doubt, path, larger, size)
+        nodes.larger = max(1.0, 10.0 ** float(np.floor(np.log10(wanted))))
 
     def larger(self, name: str) -> float:
         """How many times as large as they are an object's standard deviations are drawn, so that they are seen."""
@@ -231,10 +238,11 @@ class ScenePage:
     def points(self, name: str, points: FloatArray, colors: IntArray) -> None:
         """Points (n, 3) on an object in its frame, with colours (n, 3)."""
         every = max(1, -(-len(points) // MOST_POINTS))
-        nodes = self._objects[name].points
+        nodes = self._objects[name]
         if len(points):
-            nodes.points = (points[::every] / self._scene.reach).astype(np.float32)
-            nodes.colors = colors[::every].astype(np.uint8)
+            nodes.points.points = (points[::every] / self._scene.reach).astype(np.float32)
+            nodes.points.colors = colors[::every].astype(np.uint8)
+        self._shown(nodes)
 
     def path(self, name: str, places: FloatArray, statuses: Sequence[str]) -> None:
         """Where an object was, world (n, 3), NaN where it was not found; in the colours of the statuses (n)."""

@@ -18,12 +18,7 @@ MISSING = "the 3D page needs viser 1.1 or newer: pip install 'sylpose[viewer]'"
 _STARTING = threading.Lock()
 
 # Nothing on the page leads anywhere else.
-THEME = {
-    "control_layout": "collapsible",  # beside the scene, not over it
-    "control_width": "medium",
-    "show_logo": False,
-    "show_share_button": False,
-}
+THEME = {"control_width": "medium", "show_logo": False, "show_share_button": False}
 
 Viewer = Any  # viser.ViserServer, which is optional
 
@@ -69,6 +64,7 @@ def viewer_server(host: str = HOST, port: int = 0) -> Iterator[tuple[Viewer, str
         # Nothing in the page may ask for a tunnel to a server of viser's, through which everybody would get in.
         server.request_share_url = lambda *_, **__: None
         server.gui.configure_theme(**THEME)
+        server.gui.main_panel.dock_right()  # beside the scene, not over it
         # All addresses of this computer have that one, too.
         named = HOST if host in ("0.0.0.0", "::", "") else f"[{host}]" if ":" in host else host
         yield server, f"http://{named}:{port}/{secret}/"

@@ -10,6 +10,7 @@ import typer
 from sylpose.cli.asked import (
     Axes,
     BoxesFile,
+    Browser,
     CalibrationFile,
     CameraFiles,
     MasksFolder,
@@ -17,6 +18,7 @@ from sylpose.cli.asked import (
     OutFolder,
     Overlay,
     PlotFormat,
+    Port,
     Rate,
     RefineCalibration,
     Seed,
@@ -118,6 +120,11 @@ def track(
         str | None,
         typer.Option(metavar="TO", help="Tell each pose as a line of JSON: - for stdout, or udp://HOST:PORT."),
     ] = None,
+    show: Annotated[
+        bool, typer.Option("--show", help="Show it in 3D meanwhile, on a page in the browser: see sylpose show.")
+    ] = False,
+    port: Port = 0,
+    browser: Browser = True,
     plot_format: PlotFormat = "png",
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say only what looks wrong, on stderr.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say a line for each frame.")] = False,
@@ -177,6 +184,9 @@ def track(
         quiet=quiet,
         verbose=verbose,
         poses=poses,
+        show=show,
+        port=port,
+        browser=browser,
     )
     missing = why_nothing(opened, run)
     # What looked wrong from the start may be why, and has gone by long ago.

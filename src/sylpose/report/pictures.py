@@ -82,7 +82,7 @@ def straightened(camera: Camera, longest: int) -> Straightened:
     pixels = _pixels(camera, low + grid * (high - low))
     places = (pixels + 0.5) * (np.array(size) / camera.size) - 0.5
     # What no pixel shows is far outside of the image.
-    across, down = np.where(np.isfinite(places), places, -10.0).astype(np.float32).T.reshape(2, size[1], size[0])
+    across, down = np.where(np.isfinite(places), places, -10.0).astype(np.float32).T.copy().reshape(2, size[1], size[0])
     return Straightened(low, high, size, across, down)
 
 
