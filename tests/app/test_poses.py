@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,8 +101,8 @@ def test_each_frame_is_found_by_itself(tmp_path: Path, rig_file: Path) -> None:
     """What is seen in other frames changes nothing; those of which too little is seen have no pose, and say why."""
     its, points = rows(), points_file(tmp_path)
     few = [row for row in its if row[1] not in (3, 4) or (row[0] == "cam_0" and row[2] in ("p1", "p2", "p3"))]
-    few = [row if row[1] != 4 else (*row[:3], "", "") for row in few]
-    for name, these in (("all", its), ("few", few)):
+    empty: list[Any] = [row if row[1] != 4 else (*row[:3], "", "") for row in few]
+    for name, these in (("all", its), ("few", empty)):
         pixels = table(tmp_path / f"{name}.csv", these)
         asked = ["pose", str(points), str(pixels), "--calibration", str(rig_file), "--out", str(tmp_path / name)]
         assert main(asked) == 0
