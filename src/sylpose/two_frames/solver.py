@@ -180,12 +180,10 @@ def _answer(
         return no_fit(data, Status.MOSTLY_STILL)
     elif rod is None:
         # What is not seen, or nobody's, needs no more doubts.
-        if not (checks.parted or checks.mixed) and all_seen(information, without_depth, rotation, shift, radius):
-            hardly = checks.bent and is_hardly_seen(stack, found, radius)
-            for step, dearer in far_along(stack, having, found, radius, float(minima.costs.min())) if hardly else []:
-                column = taken_in(information, step, dearer)
-                information, without_depth = less_certain(information, column), less_certain(without_depth, column)
-            others = _led_to(stack, having, found, float(minima.costs.min()), hardly or checks.inliers < FEW_INLIERS)
+        asked = not (checks.parted or checks.mixed) and all_seen(information, without_depth, rotation, shift, radius)
+        hardly, cost = asked and checks.bent and is_hardly_seen(stack, found, radius), float(minima.costs.min())
+        if asked:
+            others = _led_to(stack, having, found, cost, hardly or checks.inliers < FEW_INLIERS)
             if others is None:
                 return no_fit(data, Status.NOT_CONVERGED)
             minima = together(minima, others)
@@ -194,6 +192,9 @@ def _answer(
             other = (rival.rotation, rival.shift)
         elif rival is not None:
             column = DOUBT * rival.step[:, None]
+            information, without_depth = less_certain(information, column), less_certain(without_depth, column)
+        for step, dearer in far_along(stack, having, found, radius, cost) if hardly and other is None else []:
+            column = taken_in(information, step, dearer)
             information, without_depth = less_certain(information, column), less_certain(without_depth, column)
     if larger > 1.0:
         # Of a background all, or some, may be: the motion has any size up to this, and fewer matches tell of it.
@@ -266,7 +267,8 @@ def _led_to(stack: Stack, having: FloatArray, found: Reweighted, cost: float, it
         if not costs[-1] < np.inf:
             return None
         costs[-1] = cost
-    return Settled(rotations, shifts, costs, inliers)
+    # What is likelier than what was found is no more than a rival of it, as others are.
+    return Settled(rotations, shifts, np.maximum(costs, cost), inliers)
 
 
 @kernel
