@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo demo-network test test-slow lint format bench bench-tracking bench-paper clean
+.PHONY: demo demo-network test test-slow browser web lint format bench bench-tracking bench-paper clean
 
 # The package's own file has the version.
 $(VENV)/.installed: pyproject.toml src/sylpose/__init__.py
@@ -29,13 +29,24 @@ demo-network: $(VENV)/.installed-dev
 
 # Small matrices gain nothing from several threads, which would get into each other's way beside several workers.
 test: export OPENBLAS_NUM_THREADS = 1
-test: lint
+test: lint browser
 	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
 # What processes of their own do beside each other, which takes minutes and a machine that has time for it.
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow
+
+# For the tests of pages: Debian's, where we may install it; elsewhere these tests are skipped.
+CHROMIUM := chromium-headless-shell
+browser:
+	@test -x /usr/bin/$(CHROMIUM) || ! command -v apt-get > /dev/null || test "$$(id -u)" != 0 \
+		|| { apt-get update -qq && apt-get install -y -qq --no-install-recommends $(CHROMIUM); } \
+		|| echo "$(CHROMIUM) could not be installed: the tests of pages have no browser" >&2
+
+# The script of report.html, which is committed, from its sources; with Node.js and npm (web/README.md).
+web:
+	cd web && npm ci --no-audit --no-fund && npm run build
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -64,4 +75,4 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) demo demo-network .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) web/node_modules demo demo-network .pytest_cache .mypy_cache .ruff_cache .hypothesis

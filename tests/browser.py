@@ -1,52 +1,83 @@
-"""A headless browser for the pages, and what goes wrong in it; tests that need one skip where there is none."""
+"""A browser for the tests of pages: Debian's headless Chromium, driven by Playwright. What pages ask for is kept."""
 
 from __future__ import annotations
 
-import shutil
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-__all__ = ["Opened", "opened", "started"]
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
 
-PROGRAMS = ("chromium-headless-shell", "chromium", "google-chrome")
-# WebGL is drawn by the processor, so that it is the same everywhere.
+__all__ = ["Opened", "launched", "opened"]
+
+CHROMIUM = Path("/usr/bin/chromium-headless-shell")
+# WebGL without a graphics card.
 ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Opened:
-    """A page, what its console said that is an error, and the addresses that it asked for."""
+    """A page in a browser.
 
-    page: Any
+    Attributes:
+        page: Playwright's.
+        errors: what it said on its console that was an error or a warning, and exceptions that nobody caught.
+        requests: all URLs that it asked for, but for data within itself.
+    """
+
+    page: Page
     errors: list[str] = field(default_factory=list)
-    asked: list[str] = field(default_factory=list)
+    requests: list[str] = field(default_factory=list)
+
+    def state(self, *names: str) -> Any:
+        """What the page's script says of itself, or the values of some of its names."""
+        state = self.page.evaluate("() => window.sylpose.state()")
+        return [state[name] for name in names] if names else state
 
 
 @contextmanager
-def started() -> Iterator[Any]:
-    """A browser, which takes a second or two to start; what `tests/conftest.py` gives as `browser`."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="pages are tested with playwright")
-    program = next(filter(None, map(shutil.which, PROGRAMS)), None)
-    if program is None:
-        pytest.skip(f"no browser here: {', '.join(PROGRAMS)}")
-    with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=program, args=ARGUMENTS)
-        yield browser
-        browser.close()
+def launched() -> Iterator[Browser]:
+    """The browser; the test is skipped where there is none, but not in continuous integration."""
+    missing = "" if os.access(CHROMIUM, os.X_OK) else f"{CHROMIUM}: no such browser (`make browser`, on Debian)"
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        missing = "playwright is not installed"
+    if missing:
+        assert os.environ.get("CI") != "true", missing
+        pytest.skip(missing)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
+        try:
+            yield browser
+        finally:
+            browser.close()
 
 
 @contextmanager
-def opened(browser: Any, url: str, *, width: int = 1200, height: int = 900, dark: bool = False) -> Iterator[Opened]:
-    """A page of its own in it, which is closed at the end."""
-    scheme = "dark" if dark else "light"
-    found = Opened(browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme))
-    found.page.on("console", lambda said: found.errors.append(said.text) if said.type == "error" else None)
-    found.page.on("pageerror", lambda error: found.errors.append(str(error)))
-    found.page.on("request", lambda request: found.asked.append(request.url))
-    found.page.goto(url)
-    yield found
-    found.page.close()
+def opened(browser: Browser, url: str, *, online: bool = False, **options: Any) -> Iterator[Opened]:
+    """A page, loaded.
+
+    Args:
+        online: whether it may ask for anything but files.
+        options: of the browser's context: `viewport`, `color_scheme`.
+    """
+    context = browser.new_context(**({"viewport": {"width": 1280, "height": 800}} | options))
+    if not online:
+        context.set_offline(True)
+    page = context.new_page()
+    said = Opened(page)
+    page.on("request", lambda request: None if request.url.startswith("data:") else said.requests.append(request.url))
+    page.on("pageerror", lambda error: said.errors.append(str(error)))
+    page.on("console", lambda line: said.errors.append(line.text) if line.type in ("error", "warning") else None)
+    try:
+        page.goto(url)
+        yield said
+    finally:
+        context.close()

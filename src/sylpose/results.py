@@ -339,9 +339,10 @@ class Trajectory:
     @property
     def turn(self) -> FloatArray:
         """(N,) angle turned since the first solved frame, radians in [0, pi]; NaN where there is no pose."""
-        poses = [f.world_from_object for f in self.frames]
-        first = next((p for p in poses if p is not None), None)
-        if first is None:
-            return np.full(len(poses), np.nan)
-        back = first.rotation.inv()
-        return np.array([np.nan if p is None else (p.rotation * back).magnitude() for p in poses])
+        turns = np.full(len(self), np.nan)
+        rows = [k for k, frame in enumerate(self.frames) if frame.world_from_object is not None]
+        poses = [pose for frame in self.frames if (pose := frame.world_from_object) is not None]
+        if poses:
+            turned = Rotation.from_quat([pose.rotation.as_quat() for pose in poses])
+            turns[rows] = (turned * poses[0].rotation.inv()).magnitude()
+        return turns

@@ -44,7 +44,7 @@ from tests.where import DATA
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
-OUTPUTS = {"trajectory.tum", "trajectory.csv", "tracked.tum", "tracked.csv", "report.png", "overlay.mp4"}
+OUTPUTS = {"trajectory.tum", "trajectory.csv", "tracked.tum", "tracked.csv", "report.png", "report.html", "overlay.mp4"}
 OUTPUTS |= {"settings.toml", "calibration.used.toml"}  # no object.npz: next to nothing is learnt in 12 frames
 
 

@@ -57,4 +57,5 @@ def test_smaller_images_and_files() -> None:
     assert smaller(image, 50).shape == (30, 50, 3)
     assert smaller(image[..., 0], 20).shape == (12, 20)
     read = cv2.imdecode(np.frombuffer(jpeg(image), np.uint8), cv2.IMREAD_COLOR)
+    assert read is not None
     assert np.abs(read.astype(int) - image).mean() < 2

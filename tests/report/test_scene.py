@@ -13,7 +13,7 @@ from sylpose import calibration
 from sylpose.app.record import USED
 from sylpose.app.scene import read_scene
 from sylpose.report.files import write_trajectory
-from sylpose.report.scene import FRUSTUM, Cloud, Scene, scene_of
+from sylpose.report.scene import FRUSTUM, GRID, Cloud, Scene, scene_of
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Rig, camera_at
 
@@ -37,13 +37,17 @@ def trajectory(n: int = 5, lost: tuple[int, ...] = ()) -> Trajectory:
 
 
 def test_cameras_and_poses_are_where_they_are() -> None:
-    its = rig()
+    bent = [replace(camera, distortion=np.array([-0.2, 0.05, 0.001, 0, 0])) for camera in rig()]
+    its = Rig(bent, "m")
     scene = scene_of(trajectory(lost=(3,)), its)
     for c, camera in enumerate(its):
         assert np.allclose(scene.world_from_camera[c, :3, 3], camera.center)
-        # The frustum's corners are the image's, in the camera's own direction, at one depth.
-        assert np.allclose(camera.project(scene.corners[c]), [[0, 0], [639, 0], [639, 479], [0, 479]], atol=1e-6)
-        depth = (scene.corners[c] - camera.center) @ camera.direction
+        # The frustum's end is where the image's pixels look, at one depth.
+        sheet = scene.sheets[c]
+        assert np.allclose(camera.project(sheet[0]), [[x, 0] for x in np.linspace(0, 639, GRID)], atol=0.05)
+        assert np.allclose(camera.project(sheet[:, -1]), [[639, y] for y in np.linspace(0, 479, GRID)], atol=0.05)
+        assert np.allclose(scene.corners[c], [sheet[0, 0], sheet[0, -1], sheet[-1, -1], sheet[-1, 0]])
+        depth = (sheet - camera.center) @ camera.direction
         assert np.allclose(depth, FRUSTUM * scene.reach)
     assert np.isnan(scene.world_from_object[3]).all()
     assert np.isfinite(np.delete(scene.world_from_object, 3, axis=0)).all()

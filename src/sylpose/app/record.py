@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -24,11 +24,14 @@ _PACKAGES = ("numpy", "scipy", "numba", "av", *_OPENCV)
 _HEAD = f"# What this run of sylpose was asked for. The calibration that it used is beside it, in {USED}.\n"
 
 
-def write_record(folder: Path, session: Session | LiveSession, options: Mapping[str, object]) -> list[Path]:
+def write_record(
+    folder: Path, session: Session | LiveSession, options: Mapping[str, object], noticed: Sequence[str] = ()
+) -> list[Path]:
     """Writes `settings.toml` and `calibration.used.toml`; returns these files.
 
     Args:
         options: numbers, words or tables of these by the names that `track_session` has for them; None is left out.
+        noticed: sentences about what looked wrong before the run.
 
     Raises:
         OSError: naming the file that cannot be written.
@@ -40,6 +43,8 @@ def write_record(folder: Path, session: Session | LiveSession, options: Mapping[
     text += f"calibration = {toml_string(str(session.calibration.resolve()))}\n"
     if isinstance(session, Session) and session.rate is not None:
         text += f"rate = {session.rate!r}\n"
+    if noticed:
+        text += f"noticed = [{', '.join(map(toml_string, noticed))}]\n"
     text += _table("options", {name: value for name, value in asked.items() if not isinstance(value, Mapping)})
     for name, value in asked.items():
         if isinstance(value, Mapping):

@@ -29,7 +29,7 @@ LOCK = ".lock"
 EARLIER, MOVING, REMOVED = "earlier_results", ".earlier_results.moving", ".earlier_results.removed"
 # What a run writes, and `sylpose view` of it; its checkpoint first, since without one nothing goes on from what is half
 # there.
-_MANY = re.compile(r"overlay(_\d+)?\.mp4|report\.(png|svg|pdf)|view_.+\.(tum|csv|png|svg|pdf)")
+_MANY = re.compile(r"overlay(_\d+)?\.mp4|report\.(html|png|svg|pdf)|view_.+\.(tum|csv|png|svg|pdf)")
 _NAMES = (CHECKPOINT, *(f"{stem}{end}" for stem in (RESULT, TRACKED) for end in SUFFIXES))
 _OWN = (*_NAMES, REFINED, REFINED_END, TRACKS, SETTINGS, USED, OBJECT, CLOUD)
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from sylpose import __version__
+from sylpose.app.album import Album, step_after
 from sylpose.app.clock import Clock
 from sylpose.app.object_files import checksum_of
 from sylpose.app.opening import check_out
+from sylpose.app.outcome import Run
 from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
 from sylpose.app.record import SETTINGS, USED, write_record
 from sylpose.app.results_folder import ResultsFolder, alone_in
@@ -26,7 +27,7 @@ from sylpose.methods import FEATURES, METHODS, MODES, features_of
 from sylpose.network.stepwise import NodesTracker
 from sylpose.numerics.angles import angles_of
 from sylpose.report.formats import FORMATS
-from sylpose.results import FramePose, Trajectory
+from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.sync.offsets import find_offsets, retimed
 from sylpose.tracking.known_object import KnownObject
@@ -41,40 +42,6 @@ IMAGE_RATE = 2.0
 ONE_CAMERA_UNIT = "first distances"
 # Seconds between two checkpoints (choice: what one may lose).
 CHECKPOINT_SECONDS = 20.0
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """What `track_session` did.
-
-    Attributes:
-        trajectories: of all frames, by object; with one camera their unit is "first distances".
-        files: that were written.
-        problems: sentences about what could not be read.
-        seconds: where the time went: "reading", "tracking" (detection, matching, solving), "saving" (checkpoints),
-            "overlay", "smoothing" and "plots".
-        changes: by object, what was found wrong with the calibration, a sentence for each camera; nothing unless that was
-            asked for.
-        network: by object, what its nodes told each other, a sentence; nothing where one process did everything.
-    """
-
-    trajectories: dict[str, Trajectory]
-    files: tuple[Path, ...]
-    problems: tuple[str, ...]
-    seconds: dict[str, float]
-    changes: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    network: dict[str, str] = field(default_factory=dict)
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """Of the only object.
-
-        Raises:
-            ValueError: there are several.
-        """
-        if len(self.trajectories) > 1:
-            raise ValueError(f"several objects ({', '.join(self.trajectories)}): take one of `trajectories`")
-        return next(iter(self.trajectories.values()))
 
 
 def output_path(session: Session | LiveSession, out: Path | str | None = None) -> Path:
@@ -119,9 +86,9 @@ def track_session(
     on_problem: Callable[[str], None] | None = None,
     interrupted: Callable[[], bool] | None = None,
 ) -> Run:
-    """Track a session and write `trajectory.tum`, `trajectory.csv`, `report.png` and `overlay.mp4`.
+    """Track a session and write `trajectory.tum`, `trajectory.csv`, `report.png`, `report.html` and `overlay.mp4`.
 
-    Of several objects, each has a folder of its name with the first three. Whatever ends it early (Ctrl-C, a full disk, a
+    Of several objects, each has a folder of its name with the first four. Whatever ends it early (Ctrl-C, a full disk, a
     bug), the frames solved until then are in the trajectory files, and `report.png` and `overlay.mp4` are finished with
     them before the exception goes on; of a run that is killed they are in `tracked.tum` and `tracked.csv`, if it was to be
     smoothed. `resume` goes on from the last checkpoint, and comes to the same trajectories as if there had been no
@@ -224,6 +191,7 @@ def track_session(
         # Up to here nothing was written.
         whole.enter_context(alone_in(results.path))
         position, states = 0, {name: OutputState() for name in session.objects}
+        album = Album(len(session.rig))
         outputs: dict[str, ObjectOutput] = {}
 
         def begun() -> bool:
@@ -237,12 +205,15 @@ def track_session(
                 if isinstance(tracker, Tracker):
                     tracker.go_back(saved.trackers[name])
             frames = _rest(session, start, stop, every, position, said)
+            if position:
+                first = start + position * every
+                album.go_on(position, session.frames(start, first, every * step_after(position), lambda _: None))
             if on_resume is not None:
                 on_resume(position)
         else:
             results.set_aside()
             whole.push(lambda error, *_: results.put_back() if error is not None and not begun() else None)
-            write_record(results.path, session, asked)
+            write_record(results.path, session, asked, _noticed(session, start))
             if saver is not None:
                 saver.begin(RunState(0, _memories(trackers), states))
 
@@ -259,6 +230,7 @@ def track_session(
                 angles=about,
                 note=_note(session, name, method, smooth),
                 known=known.get(name),
+                album=album,
                 resume=state,
             )
             stack.callback(outputs[name].close)
@@ -285,6 +257,8 @@ def track_session(
 
         stack.enter_context(closing(frames))
         for frame_set in clock.around("reading", frames):
+            with clock.part("plots"):
+                album.put(frame_set)
             for name, tracker in trackers.items():
                 with clock.part("tracking"):
                     decided = tracker.step(frame_set.of(name))
@@ -320,6 +294,13 @@ def _note(session: Session | LiveSession, name: str, method: str, smooth: bool) 
     of = session.path.resolve().name + (f", {name}" if len(session.objects) > 1 else "")
     how = f"method {method}" + (", refined together" if smooth else "")
     return f"{of}, {how}, sylpose {__version__}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"
+
+
+def _noticed(session: Session | LiveSession, start: int) -> list[str]:
+    """What looks wrong before the run."""
+    from sylpose.app.check import concerns
+
+    return concerns(session, start)
 
 
 def _refuse(distributed: str, session: Session | LiveSession, *, resume: bool, known: bool) -> None:

@@ -8,13 +8,14 @@ import numpy as np
 
 from sylpose import calibration
 from sylpose.app.object_files import DRAWN, OBJECT, load_object
+from sylpose.app.recalibrate import REFINED
 from sylpose.app.view import calibration_of, read_result
 from sylpose.report.scene import Cloud, Scene, Stills, scene_of
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.tracking.known_object import KnownObject
 
-__all__ = ["cloud_of", "read_cloud", "read_scene", "rig_of"]
+__all__ = ["calibration_used", "cloud_of", "read_cloud", "read_scene", "rig_of"]
 
 
 def read_scene(result: Path, given: Path | None = None, stills: Stills | None = None) -> Scene:
@@ -30,9 +31,19 @@ def read_scene(result: Path, given: Path | None = None, stills: Stills | None = 
         ValueError: files that are not what they should be, or of other cameras.
     """
     trajectory = read_result(result)
-    rig = rig_of(trajectory, calibration_of(result, given))
     folder = result if result.is_dir() else result.parent
+    rig = rig_of(trajectory, calibration_used(folder) if given is None else given)
     return scene_of(trajectory, rig, read_cloud(folder / OBJECT, rig.names), stills)
+
+
+def calibration_used(folder: Path) -> Path:
+    """That the poses in a run's folder are of: refined with them, or as it was given.
+
+    Raises:
+        ValueError: there is none.
+    """
+    refined = folder / REFINED
+    return refined if refined.is_file() else calibration_of(folder, None)
 
 
 def rig_of(trajectory: Trajectory, file: Path) -> Rig:

@@ -23,7 +23,7 @@ from sylpose.report.disagreement import remarks
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 
 if TYPE_CHECKING:  # loading these takes a second
-    from sylpose.app.run import Run
+    from sylpose.app.outcome import Run
     from sylpose.capture import Session
     from sylpose.capture.live import LiveSession
     from sylpose.report.rigview import CameraView
@@ -36,6 +36,7 @@ __all__ = [
     "headline",
     "length",
     "make_console",
+    "per_camera",
     "print_facts",
     "print_files",
     "print_summary",
@@ -218,7 +219,7 @@ def print_summary(console: Console, run: Run, tracked: int) -> None:
             console.print(Text(name, "bold"))
         print_facts(console, _findings(trajectory))
         console.print()
-        print_table(console, ("Camera", "frames used", "inliers", "residual"), _per_camera(trajectory))
+        print_table(console, ("Camera", "frames used", "inliers", "residual"), per_camera(trajectory))
         console.print()
         if name in run.network:
             print_facts(console, [("Network", run.network[name])])
@@ -287,7 +288,8 @@ def _why_not(trajectory: Trajectory) -> list[str]:
     return said
 
 
-def _per_camera(trajectory: Trajectory) -> list[list[str]]:
+def per_camera(trajectory: Trajectory) -> list[list[str]]:
+    """Rows: a camera, in how many frames it was used, its inliers and its residual in the middle of these."""
     frames = solved(trajectory)
     rows = []
     for c, name in enumerate(trajectory.camera_names):

@@ -1,4 +1,4 @@
-"""`sylpose demo`, `sylpose show`, `sylpose view` and `sylpose experiments`."""
+"""`sylpose demo`, `sylpose show`, `sylpose view`, `sylpose report` and `sylpose experiments`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 from sylpose.cli.asked import Axes, Browser, PlotFormat, Port, Seed, app, examples, fail, spoken
 
-__all__ = ["demo", "experiments", "show", "view"]
+__all__ = ["demo", "experiments", "report", "show", "view"]
 
 
 @app.command(
@@ -103,6 +103,24 @@ def view(
     from sylpose.app.view import view_aloud
 
     view_aloud(result, camera, calibration, eye, at, out, plot_format, angles)
+
+
+@app.command(
+    short_help="The page of a finished run, made anew.",
+    epilog=examples("sylpose report recording/sylpose"),
+)
+@spoken
+def report(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote.")],
+) -> None:
+    """Make report.html of a finished run anew: after an edit, or of a run of an older version.
+
+    It is made of the files in the folder. Its images are those of the page that is there, or of the recording where there
+    is none.
+    """
+    from sylpose.app.report import report_aloud
+
+    report_aloud(result)
 
 
 @app.command(

@@ -127,8 +127,8 @@ def track(
     """The object's pose in every frame of a recording, or of live cameras (a folder with live.toml).
 
     Writes trajectory.tum (time tx ty tz qx qy qz qw), trajectory.csv (with angles, uncertainty, status, inliers and
-    residuals), report.png and overlay.mp4 into OUT; of several objects, each into a folder of its own. Without boxes and
-    masks, the object is what moves against the standing background.
+    residuals), report.html, report.png and overlay.mp4 into OUT; of several objects, each into a folder of its own.
+    Without boxes and masks, the object is what moves against the standing background.
     """
     from sylpose.app.aloud import track_aloud, why_nothing
     from sylpose.app.check import axes_miss, concerns

@@ -10,17 +10,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.report.plots import camera_colors
 from sylpose.report.rigview import meeting_point, view_axes
 from sylpose.results import Trajectory
 from sylpose.rig import Camera, Rig
 
-__all__ = ["Cloud", "Scene", "Stills", "scene_of"]
+__all__ = ["GRID", "Cloud", "Scene", "Stills", "scene_of"]
 
 # How deep a camera's frustum is drawn, and how long the axes of an object of unknown size are, as shares of the cameras'
 # distance to what they look at (choice).
 FRUSTUM, UNKNOWN_SIZE = 0.16, 0.05
+# Points along each side of an image, between which what a lens bends is taken for straight (choice: to a hundredth of the
+# image's width for the widest lenses).
+GRID = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +47,11 @@ class Stills:
 
     Attributes:
         index: (K,) numbers of these frames in the recording, in order.
-        images: for each of them C images, (h, w, 3) BGR, or None where a camera had none.
+        images: for each of them C images, JPEG files, or None where a camera had none.
     """
 
     index: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    images: tuple[tuple[Image | None, ...], ...] = ()
+    images: tuple[tuple[bytes | None, ...], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +64,8 @@ class Scene:
         sizes: (C, 2) of their images, pixels.
         matrices: (C, 3, 3) intrinsic, pixels; lenses are left out.
         world_from_camera: (C, 4, 4); a camera looks along its z, y is down.
-        corners: (C, 4, 3) of the end of each one's frustum, in the world: top left, top right, bottom right, bottom left.
+        sheets: (C, GRID, GRID, 3) the end of each one's frustum, a plane in the world: where the rays of evenly spaced
+            pixels meet it, lens included, by rows from the image's top left corner.
         colors: (C, 3) of 0 ... 255, red, green, blue: of the camera in everything that is drawn.
         axes: (3, 3) rows right, ahead and up: unit vectors in the world to look at the rig by (`rigview.view_axes`).
         center: (3,) what to look at, in the world.
@@ -74,7 +78,7 @@ class Scene:
         status: (N) words, `results.FrameStatus`.
         reason: (N) why a frame has no pose, or none that was measured; "" else.
         points: (n, 3) on the object, in its frame.
-        point_colors: (n, 3) of 0 ... 255: of the camera that saw them.
+        point_cameras: (n,) number of the camera that saw each.
         axis_length: of the object's axes: its radius.
         stills: images of some of the frames.
     """
@@ -84,7 +88,7 @@ class Scene:
     sizes: IntArray
     matrices: FloatArray
     world_from_camera: FloatArray
-    corners: FloatArray
+    sheets: FloatArray
     colors: IntArray
     axes: FloatArray
     center: FloatArray
@@ -97,9 +101,19 @@ class Scene:
     status: tuple[str, ...]
     reason: tuple[str, ...]
     points: FloatArray
-    point_colors: IntArray
+    point_cameras: IntArray
     axis_length: float
     stills: Stills
+
+    @property
+    def corners(self) -> FloatArray:
+        """(C, 4, 3) of the frusta's ends: top left, top right, bottom right, bottom left."""
+        return self.sheets[:, [0, 0, -1, -1], [0, -1, -1, 0]]
+
+    @property
+    def point_colors(self) -> IntArray:
+        """(n, 3) of 0 ... 255: of the camera that saw each."""
+        return self.colors[self.point_cameras]
 
 
 def scene_of(trajectory: Trajectory, rig: Rig, cloud: Cloud | None = None, stills: Stills | None = None) -> Scene:
@@ -130,7 +144,7 @@ def scene_of(trajectory: Trajectory, rig: Rig, cloud: Cloud | None = None, still
         sizes=np.array([camera.size for camera in rig], np.int64),
         matrices=np.array([camera.matrix for camera in rig]),
         world_from_camera=np.array([camera.camera_from_world.inv().as_matrix() for camera in rig]),
-        corners=np.array([_corners(camera, FRUSTUM * reach) for camera in rig]),
+        sheets=np.array([_sheet(camera, FRUSTUM * reach) for camera in rig]),
         colors=colors,
         axes=view_axes(rig),
         center=center,
@@ -143,7 +157,7 @@ def scene_of(trajectory: Trajectory, rig: Rig, cloud: Cloud | None = None, still
         status=tuple(f.status.value for f in trajectory),
         reason=tuple(f.reason for f in trajectory),
         points=cloud.points,
-        point_colors=colors[cloud.cameras],
+        point_cameras=cloud.cameras,
         axis_length=cloud.radius,
         stills=Stills() if stills is None else stills,
     )
@@ -169,12 +183,13 @@ def _matrices(trajectory: Trajectory) -> FloatArray:
     return np.array([nothing if pose is None else pose.as_matrix() for pose in poses]).reshape(-1, 4, 4)
 
 
-def _corners(camera: Camera, depth: float) -> FloatArray:
-    """(4, 3) of its image, in the world, in a plane `depth` before it; lens included."""
-    w, h = camera.size[0] - 1, camera.size[1] - 1
-    rays = camera.rays(np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=float))
+def _sheet(camera: Camera, depth: float) -> FloatArray:
+    """(GRID, GRID, 3) of its image, in the world, in a plane `depth` before it."""
+    across, down = (np.linspace(0, side - 1, GRID) for side in camera.size)
+    rays = camera.rays(np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2))
     # At the rim of a very wide lens a flat end would go to infinity.
-    return np.asarray(camera.center + depth * rays / np.maximum(rays @ camera.direction, 0.4)[:, None])
+    points = camera.center + depth * rays / np.maximum(rays @ camera.direction, 0.4)[:, None]
+    return np.asarray(points.reshape(GRID, GRID, 3))
 
 
 def _rgb(color: str) -> Sequence[int]:

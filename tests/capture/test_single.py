@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -12,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose import calibration
 from sylpose.capture import open_session
-from sylpose.capture.stills import AHEAD, Stills
+from sylpose.capture.single import AHEAD, SingleFrames
 from sylpose.numerics.arrays import Image
 from sylpose.rig import Camera, Rig
 
@@ -48,7 +49,7 @@ def test_frames_of_videos(kind: str, tmp_path: Path) -> None:
         pytest.skip(f"FFmpeg here has no {codec}")
     folder = folder_of(tmp_path / "recording")
     with av.open(str(folder / f"cam_0.{kind}"), "w") as file:
-        stream = file.add_stream(codec, rate=30, options=options)
+        stream: Any = file.add_stream(codec, rate=30, options=options)
         stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
         for k in range(FRAMES):
             file.mux(stream.encode(av.VideoFrame.from_ndarray(picture(k), format="bgr24")))
@@ -57,7 +58,7 @@ def test_frames_of_videos(kind: str, tmp_path: Path) -> None:
     every = [frames.images[0] for frames in session.frames()]
     assert len(every) == FRAMES
     order = [*np.random.default_rng(5).integers(0, FRAMES, 25).tolist(), 7, 8, 9, 9, FRAMES - 1, 0]
-    with Stills(session) as stills:
+    with SingleFrames(session) as stills:
         for k in order:
             (image,) = stills.at(k)
             np.testing.assert_array_equal(image, every[k], err_msg=f"frame {k}")
@@ -73,7 +74,7 @@ def test_images_and_cameras_that_miss_some(tmp_path: Path) -> None:
             cv2.imwrite(str(folder / name / f"{k}.png"), picture(k))
     (folder / "cam_1" / "2.png").write_bytes(b"no image")
     session = open_session(folder, offsets={"cam_1": 1})
-    with Stills(session) as stills:
+    with SingleFrames(session) as stills:
         first, second = stills.at(3)
         np.testing.assert_array_equal(first, picture(3))
         assert second is None  # its third image, which is broken
