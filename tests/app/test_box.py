@@ -180,6 +180,22 @@ def test_several_objects_and_what_is_there_already(
     assert load_boxes(session / "boxes.toml", rig)["object"] == before
 
 
+def test_names_are_text(browser: Any, session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = "<img src=x>"
+    for file in ("calibration.toml", "boxes.toml"):
+        text = (session / file).read_text()
+        (session / file).write_text(re.sub(r'"?\bcam_2\b"?', f'"{name}"', text))
+    (session / "cam_2.mp4").rename(session / f"{name}.mp4")
+    with box_command(monkeypatch, session) as run, opened(browser, run.url, online=True) as shown:
+        tile = shown.page.locator(".tile").nth(2)
+        tile.locator(".own .box").wait_for()
+        assert tile.locator(".name").inner_text() == name
+        assert shown.page.locator("img").count() == 0
+        assert shown.errors == []
+        assert ask(f"{run.url}boxes", {"object": {name: [1, 2, 30, 40]}})[0] == 200
+    assert (session / "boxes.toml").read_text().splitlines()[1:] == [f'"{name}" = [1, 2, 30, 40]']
+
+
 def test_what_is_sent_is_looked_at_as_files_are(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = session / "boxes.toml"
     before = file.read_bytes()
