@@ -13,7 +13,7 @@ import numpy as np
 from sylpose.app.scene_page import DEVIATIONS, LAYERS, NOTHING, ScenePage, plain, status_color
 from sylpose.app.text import length
 from sylpose.app.viewer_server import THEME, viewer_server
-from sylpose.capture.stills import Stills
+from sylpose.capture.single import SingleFrames
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.report.scene import Scene
 from sylpose.results import FrameStatus
@@ -40,7 +40,9 @@ class Player:
         title: what it is a result of.
     """
 
-    def __init__(self, server: Any, scenes: Mapping[str, Scene], rig: Rig, stills: Stills | None, title: str) -> None:
+    def __init__(
+        self, server: Any, scenes: Mapping[str, Scene], rig: Rig, stills: SingleFrames | None, title: str
+    ) -> None:
         self._scenes, self._stills, self._gui = dict(scenes), stills, server.gui
         self.page = staged(server, scenes, rig)
         self.index, seconds = frames_of(scenes)
@@ -230,7 +232,7 @@ def add_layers(server: Any, page: ScenePage, changed: Callable[[], None]) -> Non
         dark.on_update(darken)
 
 
-def saved_page(scenes: Mapping[str, Scene], rig: Rig, stills: Stills | None) -> str:
+def saved_page(scenes: Mapping[str, Scene], rig: Rig, stills: SingleFrames | None) -> str:
     """An HTML page that plays the scene by itself, without any server: at most `MOST_FRAMES` frames, `MOST_IMAGES` of them
     with images."""
     index, times = frames_of(scenes)

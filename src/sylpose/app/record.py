@@ -45,10 +45,10 @@ def write_record(
         asked["world"] = session.world.said
     text = f"{_HEAD}begun = {begun}\nrecording = {toml_string(str(session.path.resolve()))}\n"
     text += f"calibration = {toml_string(str(session.calibration.resolve()))}\n"
-    if noticed:
-        text += f"noticed = [{', '.join(map(toml_string, noticed))}]\n"
     if isinstance(session, Session) and session.rate is not None:
         text += f"rate = {session.rate!r}\n"
+    if noticed:
+        text += f"noticed = [{', '.join(map(toml_string, noticed))}]\n"
     text += _table("options", {name: value for name, value in asked.items() if not isinstance(value, Mapping)})
     for name, value in asked.items():
         if isinstance(value, Mapping):
