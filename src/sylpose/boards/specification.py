@@ -95,7 +95,7 @@ class Board:
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "alike", tuple(way.astype(np.int64) for way in alike))
         kind_of(self.text, str, "text")
-        if self.dictionary not in ("", *DICTIONARIES.values()):
+        if kind_of(self.dictionary, str, "dictionary") not in ("", *DICTIONARIES.values()):
             raise ValueError(f"dictionary: {shown(self.dictionary)} is none of OpenCV's")
         truth(self.half_turned, "half_turned")
         whole(self.first_id, "first_id", most=MOST_TAGS)
