@@ -1,5 +1,5 @@
-"""The command line: `sylpose track`, `batch`, `check`, `sync`, `view`, `demo`, `experiments`, `node`, `nodes`,
-`network` and `calibration`.
+"""The command line: `sylpose track`, `batch`, `check`, `sync`, `view`, `demo`, `experiments`, `export`, `compare`,
+`node`, `nodes`, `network` and `calibration`.
 
 Everything but the options is imported where it is used: the tracker and matplotlib take a second each, which `--help` does
 not need.
@@ -18,9 +18,9 @@ from sylpose import __version__
 from sylpose.cli.asked import app
 
 # Loading them gives them to the app, in the order of `--help`.
-from sylpose.cli import track, batch, recordings, studies, network, calibrations  # isort: skip
+from sylpose.cli import track, batch, recordings, studies, results, network, calibrations  # isort: skip
 
-__all__ = ["app", "batch", "calibrations", "main", "network", "recordings", "studies", "track"]
+__all__ = ["app", "batch", "calibrations", "main", "network", "recordings", "results", "studies", "track"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
