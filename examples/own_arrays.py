@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose import Camera, Matches, Motion, PairMoments, Rig, estimate_motion, estimate_pose, open_session
+from sylpose import Camera, Matches, PairMoments, Rig, estimate_motion, estimate_pose, open_session
 from sylpose.features.sift import detect, match_features
 from sylpose.simulate import ellipsoid, random_motion, simulate_matches
 
@@ -36,24 +36,12 @@ def your_matches(rig: Rig, true_motion: RigidTransform) -> list[tuple[NDArray[np
     return [(c.denormalize(m.x), c.denormalize(m.y)) for c, m in zip(rig, pair.matches, strict=True)]
 
 
-def say(motion: Motion) -> None:
-    """A motion in words."""
-    print(motion.status.text)
-    if motion.motion is not None:
-        turn = np.degrees(motion.motion.rotation.as_rotvec())
-        shift = motion.motion.apply(motion.center) - motion.center
-        print("  turned by (degrees)", turn.round(2), " the centre moved by", shift.round(5))
-        sigma = np.sqrt(np.diag(motion.covariance))
-        print("  standard deviations", np.degrees(sigma[:3]).round(3), sigma[3:].round(5))
-        print("  inliers", motion.n_inliers, " residuals (px)", motion.residuals.round(2))
-
-
 rig = two_cameras()
 true_motion = random_motion(8.0, 0.02, np.random.default_rng(2))
 pixels = your_matches(rig, true_motion)
 matches = [Matches.from_pixels(c, i, j) for c, (i, j) in zip(rig, pixels, strict=True)]
 print("True turn (degrees)", np.degrees(true_motion.rotation.as_rotvec()).round(2))
-say(estimate_motion(rig, matches))
+print(estimate_motion(rig, matches))
 
 # solvePnP for many cameras: five known points in each, all different ones.
 corners = np.random.default_rng(3).uniform(-0.1, 0.1, (10, 3))
@@ -61,7 +49,7 @@ points = [corners[:5], corners[5:]]
 world_from_object = true_motion
 seen = [camera.project(world_from_object.apply(p)) for camera, p in zip(rig, points, strict=True)]
 found = estimate_pose(rig, points, seen)
-print("Known points:", found.status.text, " inliers", found.n_inliers)
+print(found)
 if found.motion is not None:
     print("  off by", np.degrees((found.motion.rotation * world_from_object.rotation.inv()).magnitude()), "degrees")
 
@@ -82,4 +70,4 @@ if len(sys.argv) > 1:
         print(
             f"{camera.name}: {len(i)} matches, {len(moments.to_bytes())} bytes say what this camera saw of the motion"
         )
-    say(estimate_motion(session.rig, matches))
+    print(estimate_motion(session.rig, matches))

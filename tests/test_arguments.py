@@ -52,9 +52,12 @@ ELSEWHERE = {
     "Session.frames": "the same",
     "Session.of": "the same",
     "Session.with_rig": "the same",
+    "Session.told_in": "the same",
+    "load_world": "reads a file: calibration/test_world.py",
     "LiveSession.frames": "the same",
     "LiveSession.of": "the same",
     "LiveSession.with_rig": "the same",
+    "LiveSession.told_in": "the same",
     "LiveSession.stop": "no arguments",
     "Source.frame_number": "looked up in a table of a folder's files",
     "demo_scene": "the demo's, writes a recording",
@@ -261,6 +264,42 @@ def calls() -> dict[str, Call]:
         "Rig.in_unit": Call(three.in_unit, {"unit": "mm"}, said="unit"),
         "Rig.in_world": Call(three.in_world, {"new_from_world": RigidTransform.identity()}),
         "Rig.subset": Call(three.subset, {"names": ["cam_0", "cam_2"]}, said="no camera"),
+        "World": Call(
+            sylpose.World,
+            {"world_from_calibration": motion, "said": "", "unit": "m", "scale": 1.0, "world_unit": "mm"},
+        ),
+        "world_with_up": Call(
+            sylpose.world_with_up, {"up": np.array([0.0, -1.0, 0.1]), "origin": center, "unit": "m", "said": ""}
+        ),
+        "Board": Call(
+            sylpose.Board,
+            {
+                "kind": "chessboard",
+                "text": "",
+                "size": (2, 2),
+                "points": points[:4],
+                "alike": (np.arange(4),),
+                "dictionary": "4X4_50",
+                "first_id": 0,
+                "marker_share": 0.5,
+                "border": 1,
+                "half_turned": False,
+                "diameter": 0.0,
+            },
+        ),
+        "parse_board": Call(
+            sylpose.parse_board, {"text": "chessboard:9x6,square=1", "unit": "m"}, said="is no board|square"
+        ),
+        "find_board": Call(
+            sylpose.find_board,
+            {
+                "rig": small,
+                "images": [frames[0].images[0]],
+                "board": sylpose.parse_board("apriltag:36h11,id=0,size=1"),
+                "seed": 0,
+            },
+            said="image must be",
+        ),
         "Trajectory": Call(sylpose.Trajectory, {"frames": [pose, pose], "camera_names": ["a", "b"], "unit": "m"}),
         "FramePose.judged": Call(pose.judged, {}),
         "FramePose.of_frame": Call(pose.of_frame, {"new_from_object": RigidTransform.identity()}),

@@ -35,5 +35,5 @@ def test_track_videos_asks_for_a_recording(monkeypatch: pytest.MonkeyPatch, caps
 
 def test_own_arrays(recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     lines = run_example("own_arrays.py", [str(recording)], monkeypatch, capsys)
-    assert lines.count("Everything that was asked for was found.") == 2
+    assert lines.count("Motion: ok. Everything that was asked for was found.") == 3
     assert sum("360 bytes" in line for line in lines) == 3

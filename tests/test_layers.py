@@ -15,7 +15,20 @@ from tests.where import REPOSITORY
 SOURCE = REPOSITORY / "src"
 MAX_LINES = 400
 
-NOUNS = {"numerics", "reading", "rig", "frames", "matches", "moments", "results", "view", "methods", "units"}
+NOUNS = {
+    "numerics",
+    "reading",
+    "rig",
+    "frames",
+    "matches",
+    "moments",
+    "results",
+    "statuses",
+    "told",
+    "view",
+    "methods",
+    "units",
+}
 PARTS = {"paper", "known_model", "features"}
 FILES = {"files"}  # for whoever writes any
 ESTIMATORS = PARTS | {"two_frames", "landmarks", "adjustment", "tracking", "smoothing"}

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.checked import finite_rows, kind_of
 from sylpose.rig import Camera
+from sylpose.told import Telling, Told
 
 __all__ = ["STILL_PX", "Matches"]
 
@@ -20,8 +21,8 @@ MOST_POINT = 1e9
 STILL_PX = 1.5
 
 
-@dataclass(frozen=True, eq=False)
-class Matches:
+@dataclass(frozen=True, eq=False, repr=False)
+class Matches(Told):
     """Points that one camera sees in two frames i and j, undistorted.
 
     Attributes:
@@ -64,3 +65,11 @@ class Matches:
 
     def __len__(self) -> int:
         return len(self.x)
+
+    def _told(self) -> Telling:
+        far = (
+            f", moved by {np.median(np.linalg.norm(self.y - self.x, axis=1)):.3g} of the focal length"
+            if len(self)
+            else ""
+        )
+        return Telling(f"{len(self)} points in two frames{far}" + (" in the median" if far else ""))

@@ -12,6 +12,7 @@ numbers carry the second moments that Chen & Schonfeld (2010) need is our observ
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -91,6 +92,10 @@ class PairMoments:
         if (w < 0).any():
             raise ValueError(f"weights must be {len(x)} finite, non-negative numbers")
         return cls._of((k * w[:, None]).T @ k)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:
+        """Its matrix, so that `solve_centralized_batch` takes N lists of C of them."""
+        return np.array(self.matrix, dtype=dtype) if copy or dtype is not None else self.matrix
 
     def __add__(self, other: PairMoments) -> PairMoments:
         """The moments of both sets of matches together."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
-from typing import Self
+from importlib import import_module
+from typing import Any, Self
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -14,6 +15,8 @@ from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.checked import kind_of, listed
 from sylpose.numerics.matrices import carried, covariance_of
 from sylpose.rig import single_pose
+from sylpose.statuses import FrameStatus, Observable, Status
+from sylpose.told import Telling, Told, inliers_told, length, lengths, named, place_told, spread, turned, vector
 
 __all__ = [
     "UNCERTAIN_TURN",
@@ -32,126 +35,8 @@ __all__ = [
 UNCERTAIN_TURN = 0.35
 
 
-class Status(Enum):
-    """What an estimator says about its own answer. `status.text` is a sentence for people."""
-
-    OK = "ok"
-    TOO_FEW_MATCHES = "too few matches"
-    SCALE_NOT_OBSERVABLE = "scale not observable"
-    TURN_NOT_OBSERVABLE = "turn not observable"
-    NO_MOTION = "no motion"
-    NOT_CERTIFIED = "not certified"
-    NOT_CONVERGED = "not converged"
-    NOT_CONSISTENT = "no consistent motion"
-    AMBIGUOUS = "ambiguous"
-    MIXED = "more than one motion"
-    MOSTLY_STILL = "mostly still"
-
-    @property
-    def text(self) -> str:
-        """One sentence that says what the status means."""
-        return _TEXTS[self]
-
-    @property
-    def has_pose(self) -> bool:
-        """Whether a result of this status carries an answer that may be used."""
-        return self in (Status.OK, Status.SCALE_NOT_OBSERVABLE, Status.NO_MOTION, Status.NOT_CERTIFIED)
-
-
-_TEXTS = {
-    Status.OK: "Everything that was asked for was found.",
-    Status.TOO_FEW_MATCHES: "Too few matches on the object in all cameras together.",
-    Status.SCALE_NOT_OBSERVABLE: "The turn and the translation's direction were found; how far it moved cannot be seen "
-    "(one camera, or a translation without a turn).",
-    Status.TURN_NOT_OBSERVABLE: "A part of the turn cannot be seen from these cameras.",
-    Status.NO_MOTION: "The object did not move measurably: its matches stand still in every camera.",
-    Status.NOT_CERTIFIED: "The best of all solutions that were found; that there is no better one is not proved.",
-    Status.NOT_CONVERGED: "The solver did not settle within its bound of iterations.",
-    Status.NOT_CONSISTENT: "No single rigid motion explains enough of the matches.",
-    Status.AMBIGUOUS: "Two motions explain the matches about equally well, or about as many of them each, and which of them "
-    "is the object's cannot be seen.",
-    Status.MIXED: "One motion explains the matches nearly, and neighbours depart from it alike: two bodies move, or a "
-    "camera is calibrated wrongly.",
-    Status.MOSTLY_STILL: "Most matches stand still, and some move, by too little or too few to tell which are the object's.",
-}
-
-
-class FrameStatus(Enum):
-    """What happened to a frame in the tracker. `status.text` is a sentence for people."""
-
-    FIRST = "first frame"
-    TRACKED = "tracked"
-    RELOCALISED = "relocalised"
-    COASTING = "coasting"
-    UNCERTAIN = "uncertain"
-    LOST = "lost"
-    TOO_FEW_MATCHES = "too few matches"
-    NO_MOTION = "no motion"
-    NOT_CONSISTENT = "no consistent motion"
-    ONLY_STILL = "only background"
-    FOUND = "found"
-    NOT_OBSERVABLE = "turn not observable"
-    NO_POSE = "no consistent pose"
-
-    @property
-    def text(self) -> str:
-        """One sentence that says what the status means."""
-        return _FRAME_TEXTS[self]
-
-    @property
-    def has_pose(self) -> bool:
-        """Whether a frame of this status has a pose."""
-        return self in (
-            FrameStatus.FIRST,
-            FrameStatus.TRACKED,
-            FrameStatus.RELOCALISED,
-            FrameStatus.COASTING,
-            FrameStatus.UNCERTAIN,
-            FrameStatus.FOUND,
-        )
-
-
-_FRAME_TEXTS = {
-    FrameStatus.FIRST: "The first frame with the object: the pose that all others are relative to.",
-    FrameStatus.TRACKED: "The object was followed from the frame before.",
-    FrameStatus.RELOCALISED: "The object was found again, by what was learnt of it before.",
-    FrameStatus.COASTING: "The object was not found; it is taken to go on as it did, with growing uncertainty.",
-    FrameStatus.UNCERTAIN: "What is seen hardly tells how the object is turned: its pose may be any of many.",
-    FrameStatus.LOST: "The object was not found, for too long to say where it may be.",
-    FrameStatus.TOO_FEW_MATCHES: "Too few features on the object in all cameras together, to begin with.",
-    FrameStatus.NO_MOTION: "Nothing moved yet that could be taken for the object: its pose is not known.",
-    FrameStatus.ONLY_STILL: "All that is seen stands still and was never seen to move: it may be the background, and what "
-    "moved before is not seen. The object's pose is not known.",
-    FrameStatus.FOUND: "The pose was found in this frame by itself, from points known on the object.",
-    FrameStatus.NOT_OBSERVABLE: "How the object is turned cannot be told: other turns explain what is seen as well.",
-    FrameStatus.NO_POSE: "No single pose explains enough of what is seen.",
-    FrameStatus.NOT_CONSISTENT: "What moved was no rigid body, or not for long: its pose is not known.",
-}
-
-
-class Observable(Enum):
-    """What of a frame's pose can be seen. `observable.text` is a sentence for people."""
-
-    ALL = "all"
-    NO_SCALE = "scale not observable"
-    NO_LENGTH = "length not observable"
-
-    @property
-    def text(self) -> str:
-        """One sentence that says what it means."""
-        return _OBSERVABLE_TEXTS[self]
-
-
-_OBSERVABLE_TEXTS = {
-    Observable.ALL: "The whole pose can be seen.",
-    Observable.NO_LENGTH: "The object has not turned: how far it moved follows from what is believed of its place and shape "
-    "alone, until a turn tells it.",
-    Observable.NO_SCALE: "With one camera, lengths are in units of the object's first distance.",
-}
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
+@dataclass(frozen=True, eq=False, repr=False)
+class Motion(Told):
     """The object's motion between two frames, with how well it is known.
 
     Attributes:
@@ -173,6 +58,7 @@ class Motion:
         rival: of AMBIGUOUS, the other motion that explains the matches, or as many of them, about as well; else None.
         second: the number of matches of a second body that moves otherwise over that of this one; 0 where none was seen.
         standing: the share of the matches that stand still while the object moves by little.
+        camera_names: (C,) of the rig; unit: of its lengths, or "".
     """
 
     status: Status
@@ -189,15 +75,45 @@ class Motion:
     rival: RigidTransform | None = None
     second: float = 0.0
     standing: float = 0.0
+    camera_names: tuple[str, ...] = ()
+    unit: str = ""
 
     @property
     def n_inliers(self) -> IntArray:
         """(C,) number of inliers per camera."""
         return np.array([int(mask.sum()) for mask in self.inliers], dtype=np.int64)
 
+    def _told(self) -> Telling:
+        status = f"{self.status.value}. {self.status.text}"
+        names = self.camera_names or [f"camera {c}" for c in range(len(self.inliers))]
+        of = [inliers_told(n, len(m), r) for n, m, r in zip(self.n_inliers, self.inliers, self.residuals, strict=True)]
+        rows = [*named(list(zip(names, of, strict=True))), *(("at fault", fault) for fault in self.faults)]
+        if self.motion is None:
+            return Telling(self.status.value, rows, status)
+        placed, center = self.method == "pose", self.motion.apply(self.center)
+        by = center if placed else center - self.center
+        sigma = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        said = [
+            ("turned", turned(self.motion.rotation, self.covariance[:3, :3])),
+            ("center at" if placed else "center moved by", lengths(by, sigma[3:], self.unit)),
+        ]
+        if self.rival is not None:
+            said.append(("or else turned", turned(self.rival.rotation)))
+        if len(self.unseen):
+            said.append(("not seen", f"{len(self.unseen)} of the six directions of (w, d): `unseen`"))
+        where = f"moved {length(float(np.linalg.norm(by)), self.unit)}"
+        if placed:
+            where = f"at {place_told(by)}"
+        elif not np.isfinite(by @ self.covariance[3:, 3:] @ by) or self.status is Status.SCALE_NOT_OBSERVABLE:
+            where = "how far it moved is not seen"
+        brief = f"{self.status.value}, turned {turned(self.motion.rotation)}, {where}"
+        return Telling(
+            f"{brief}, {self.n_inliers.sum()} inliers in {len(self.inliers)} cameras", [*said, *rows], status
+        )
 
-@dataclass(frozen=True, eq=False)
-class RotationEstimate:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RotationEstimate(Told):
     """A rotation and how well it is known: what every estimator of the paper's answers, with more of its own.
 
     Attributes:
@@ -221,14 +137,28 @@ class RotationEstimate:
         """(3, 3) the inverse of `information`; infinite variances on the axes that share an unknown direction."""
         return covariance_of(self.information)
 
+    def _told(self) -> Telling:
+        rows = [("not seen", f"turns about {len(self.unseen)} of three axes: `unseen`")] if len(self.unseen) else []
+        rows += [("iterations", str(self.iterations)), *self._told_besides()]
+        status = f"{self.status.value}. {self.status.text}"
+        if not np.isfinite(self.rotation).all():
+            return Telling(self.status.value, rows, status)
+        rotation = Rotation.from_matrix(self.rotation)
+        said = [("turned", turned(rotation, self.covariance)), *rows]
+        return Telling(f"{self.status.value}, turned {turned(rotation)}", said, status)
+
+    def _told_besides(self) -> list[tuple[str, str]]:
+        """Labels and what else an estimator has to say."""
+        return []
+
 
 def pan_tilt_roll(rotation: Rotation) -> FloatArray:
     """(3,) radians, R = R_y(pan) R_x(tilt) R_z(roll) (docs/conventions.md)."""
     return np.asarray(kind_of(rotation, Rotation, "rotation").as_euler("YXZ", suppress_warnings=True))
 
 
-@dataclass(frozen=True, eq=False)
-class FramePose:
+@dataclass(frozen=True, eq=False, repr=False)
+class FramePose(Told):
     """The object's pose in one frame.
 
     Attributes:
@@ -316,9 +246,26 @@ class FramePose:
             return np.full(3, np.nan)
         return np.asarray(self.world_from_object.translation)
 
+    def _told(self) -> Telling:
+        rows = [("reason", self.reason)] if self.reason else []
+        if self.world_from_object is not None:
+            angles = np.degrees(self.pan_tilt_roll)
+            rows += [
+                ("pan, tilt, roll", f"{vector(angles)}°, ± {vector(np.degrees(self.sigma[:3]), 3)}° about x, y, z"),
+                ("position", spread(self.position, self.sigma[3:])),
+            ]
+        if self.observable is not Observable.ALL:
+            rows.append(("not seen", self.observable.text))
+        of = self.matches if len(self.matches) else self.inliers
+        for c, (n, most, residual) in enumerate(zip(self.inliers, of, self.residuals, strict=True)):
+            rows.append((f"camera {c}", inliers_told(n, most, residual)))
+        rows += [("at fault", fault) for fault in self.faults]
+        status = f"frame {self.index}, time {self.time:.3f}: {self.status.value}"
+        return Telling(status, rows, f"{status}. {self.status.text}")
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(Told):
     """The object's pose in every frame of a recording: a sequence of `FramePose`.
 
     Attributes:
@@ -363,9 +310,57 @@ class Trajectory:
     @property
     def turn(self) -> FloatArray:
         """(N,) angle turned since the first solved frame, radians in [0, pi]; NaN where there is no pose."""
-        poses = [f.world_from_object for f in self.frames]
-        first = next((p for p in poses if p is not None), None)
-        if first is None:
-            return np.full(len(poses), np.nan)
-        back = first.rotation.inv()
-        return np.array([np.nan if p is None else (p.rotation * back).magnitude() for p in poses])
+        turns = np.full(len(self), np.nan)
+        rows = [k for k, frame in enumerate(self.frames) if frame.world_from_object is not None]
+        poses = [pose for frame in self.frames if (pose := frame.world_from_object) is not None]
+        if poses:
+            turned = Rotation.from_quat([pose.rotation.as_quat() for pose in poses])
+            turns[rows] = (turned * poses[0].rotation.inv()).magnitude()
+        return turns
+
+    def _told(self) -> Telling:
+        found = [f for f in self if f.measured]
+        brief = f"{len(found)} of {len(self)} frames with a pose"
+        of = Counter(f.status for f in self).most_common()
+        rows = [("frames", ", ".join(f"{status.value} {count}" for status, count in of))] if of else []
+        if found:
+            turn, moved = self.turn[self.solved], self.positions[self.solved]
+            by = length(float(np.linalg.norm(moved[-1] - moved[0])), self.unit)
+            path = length(float(np.linalg.norm(np.diff(moved, axis=0), axis=1).sum()), self.unit)
+            last, most = np.degrees(turn[-1]), np.degrees(turn.max())
+            brief += f", turned {last:.1f}°, moved {by}"
+            rows += [
+                ("time", f"{found[0].time:.3f} to {found[-1].time:.3f}"),
+                ("turned", f"{last:.1f}° from the first to the last, {most:.1f}° at most"),
+                ("moved", f"{by} from the first to the last, along a path of {path}"),
+            ]
+        cameras = []
+        for c, name in enumerate(self.camera_names):
+            used = [f for f in found if f.inliers[c] > 0]
+            middle = (
+                [np.median([f.inliers[c] for f in used]), np.median([f.residuals[c] for f in used])] if used else []
+            )
+            said = ", in the median {:.0f} inliers, residual {:.2f} px".format(*middle) if used else ""
+            cameras.append((name, f"used in {len(used)} frames{said}"))
+        return Telling(brief, [*rows, *named(cameras)])
+
+    def plot(self, *, note: str = "") -> Any:
+        """Angles, position, inliers and residuals over time, as in `report.png`: a `matplotlib.figure.Figure`, which a
+        notebook shows.
+
+        Args:
+            note: a line below.
+
+        Raises:
+            ValueError: a trajectory without frames.
+        """
+        # What draws results, and makes tables of them, stands above them: it is looked up when it is asked for.
+        return import_module("sylpose.report.plots").trajectory_figure(self, note=note)
+
+    def to_dataframe(self) -> Any:
+        """The columns of trajectory.csv (docs/formats.md) as a `pandas.DataFrame`, not rounded: NaN where there is no value.
+
+        Raises:
+            ModuleNotFoundError: pandas is not installed.
+        """
+        return import_module("sylpose.report.tables").dataframe(self)

@@ -16,6 +16,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.checked import finite, finite_rows, items, kind_of, listed, number, real, rows, shown, whole
 from sylpose.numerics.lens import TERMS, projected
 from sylpose.reading import one_line
+from sylpose.told import Telling, Told, named, place_told, vector
 from sylpose.units import METRES
 
 __all__ = ["Camera", "Rig", "nearest_point_to_rays"]
@@ -38,8 +39,8 @@ GRID_PX = 1.0 / 128.0
 _undistort: Any = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
 
 
-@dataclass(frozen=True, eq=False)
-class Camera:
+@dataclass(frozen=True, eq=False, repr=False)
+class Camera(Told):
     """One calibrated, static camera.
 
     Attributes:
@@ -146,6 +147,12 @@ class Camera:
         """(3,) unit vector, the optical axis in the world."""
         return np.asarray(self.rotation[2])
 
+    def _told(self) -> Telling:
+        image = f"{self.size[0]} x {self.size[1]} pixels, focal length {self.focal:.0f}"
+        lens = f"{self.lens} {vector(self.distortion, 4)}" if self.distortion.any() else "no distortion"
+        place = f"at {place_told(self.center)}, looking along {vector(self.direction)}"
+        return Telling(f"{self.name}, {image}", [("image", image), ("lens", lens), ("stands", place)])
+
     def normalize(self, pixels: ArrayLike) -> FloatArray:
         """Undistort: pixels (n, 2) of the image as recorded -> normalised points (n, 2) on the plane z = 1."""
         # Contiguous: OpenCV's fisheye functions ignore strides.
@@ -201,8 +208,8 @@ class Camera:
         return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
-@dataclass(frozen=True, eq=False)
-class Rig:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rig(Told):
     """All cameras, in a fixed order.
 
     Args:
@@ -237,6 +244,10 @@ class Rig:
         if name not in self._index:
             raise KeyError(f"no camera {shown(name)} in the rig ({one_line(', '.join(self.names), 200)})")
         return self.cameras[self._index[name]]
+
+    def _told(self) -> Telling:
+        brief = f"{len(self)} camera{'s' if len(self) > 1 else ''}, lengths in {self.unit or 'a unit that is not said'}"
+        return Telling(brief, named([(c.name, "; ".join(said for _, said in c._told().rows)) for c in self]))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from sylpose.numerics.matrices import carried, checked_rotation, covariance_of
 from sylpose.reading import one_line
 from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory, pan_tilt_roll
 from sylpose.rig import Camera, Rig, single_pose
+from sylpose.told import Telling, Told, spread, turned
 
 __all__ = [
     "MotionView",
@@ -42,8 +43,8 @@ __all__ = [
 Viewpoint: TypeAlias = Camera | RigidTransform | str
 
 
-@dataclass(frozen=True, eq=False)
-class MotionView:
+@dataclass(frozen=True, eq=False, repr=False)
+class MotionView(Told):
     """The object's motion between two frames in one camera's axes (x right, y down, z forward).
 
     Attributes:
@@ -79,8 +80,18 @@ class MotionView:
         """(6,) standard deviations: the turn about the camera's x, y, z (radians), then the displacement."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
+    def _told(self) -> Telling:
+        status = f"{self.status.value}. {self.status.text}"
+        if self.motion is None:
+            return Telling(self.status.value, sentence=status)
+        rows = [
+            ("turned", turned(self.motion.rotation, self.covariance[:3, :3])),
+            ("right, down, away", spread(self.displacement, self.sigma[3:])),
+        ]
+        return Telling(f"{self.status.value}, turned {turned(self.motion.rotation)}", rows, status)
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class RotationView(RotationEstimate):
     """An estimate of the object's rotation in one camera's axes: R_c = Q R Q', and so its information.
 

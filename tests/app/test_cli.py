@@ -27,7 +27,6 @@ from sylpose.app import check as checks
 from sylpose.app import demo
 from sylpose.app.following import what_moves
 from sylpose.app.run import track_session
-from sylpose.app.text import length
 from sylpose.capture import Session, open_session
 from sylpose.cli import main
 from sylpose.frames import FrameSet
@@ -36,6 +35,7 @@ from sylpose.report.files import read_trajectory, read_tum
 from sylpose.report.rigview import meeting_point
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig, camera_at
+from sylpose.told import length
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
@@ -44,7 +44,7 @@ from tests.where import DATA
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
-OUTPUTS = {"trajectory.tum", "trajectory.csv", "tracked.tum", "tracked.csv", "report.png", "overlay.mp4"}
+OUTPUTS = {"trajectory.tum", "trajectory.csv", "tracked.tum", "tracked.csv", "report.png", "report.html", "overlay.mp4"}
 OUTPUTS |= {"settings.toml", "calibration.used.toml"}  # no object.npz: next to nothing is learnt in 12 frames
 
 
@@ -354,7 +354,7 @@ def test_offsets_that_are_used_are_said(run: Command, session: Path, tmp_path: P
 def test_without_a_terminal_progress_is_a_line_now_and_then(
     run: Command, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sylpose.app.text.BETWEEN_LINES", 0.0)
+    monkeypatch.setattr("sylpose.app.progress.BETWEEN_LINES", 0.0)
     result = run("track", recording, "--stop", "3", "--no-overlay", "--out", tmp_path / "out")
     lines = [line for line in result.err.splitlines() if line.startswith("sylpose: tracked ")]
     assert [line.split(",")[0] for line in lines] == [f"sylpose: tracked {k} of 3 frames" for k in (1, 2, 3)]

@@ -52,6 +52,14 @@ def test_another_take_has_the_same_frame_from_its_first_frame_on(
     assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(np.linalg.norm(true[1] - true[0]), rel=0.02)
 
 
+def test_an_object_says_what_is_known_of_it(known: KnownObject) -> None:
+    first, *cameras = str(known).splitlines()
+    assert first.startswith(("KnownObject: radius 1", "KnownObject: radius 2"))
+    assert f"mm, {len(known.places)} landmarks, {len(known._keyframes)} keyframes" in first
+    assert [line.split()[0] for line in cameras] == list(known.camera_names)
+    assert sum(int(line.split()[1]) for line in cameras) == len(known.places)
+
+
 def sights(known: KnownObject) -> int:
     return sum(len(numbers) for memory in known._cameras.values() for numbers in memory.numbers)
 

@@ -56,9 +56,12 @@ def out(two: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_each_object_has_its_files(out: Path) -> None:
     found = {file.relative_to(out).as_posix() for file in out.rglob("*") if file.is_file()}
-    own = ("trajectory.tum", "trajectory.csv", "tracked.tum", "tracked.csv", "report.png")
+    own = ("trajectory.tum", "trajectory.csv", "tracked.tum", "tracked.csv", "report.png", "report.html")
     of_all = ("overlay.mp4", "settings.toml", "calibration.used.toml")
     assert found == {*of_all, *(f"{name}/{file}" for name in ("mug", "tray") for file in own)}
+    page = (out / "mug" / "report.html").read_text(encoding="utf-8")
+    assert 'href="../overlay.mp4"' in page
+    assert ", mug</h1>" in page
     with av.open(str(out / "overlay.mp4")) as video:
         assert sum(1 for _ in video.decode(video=0)) == FRAMES
 

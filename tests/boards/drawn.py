@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.boards.specification import Board
 from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.rig import Camera, Rig
-from sylpose.simulate import Actor, Scene, TexturedBody, render_frames
+from sylpose.simulate import Actor, Scene, TexturedBody, arc, demo_scene, render_frames
 
 # Texels to a square, a circle's step, or four of a marker's bits.
 TEXELS = 120
@@ -140,3 +140,21 @@ def rendered(
     """What the cameras see of it, a room behind."""
     actor = Actor(plate(board, legacy), lambda _: world_from_board)
     return next(iter(render_frames(Scene(rig, (actor,), 1, seed=seed, noise=noise))))
+
+
+def on_the_floor(board: Board, *, frames: int, size: tuple[int, int] = (320, 240)) -> tuple[Scene, RigidTransform]:
+    """The demo's block before three cameras that look down on it, and a target on the floor before it; y goes down.
+
+    Returns:
+        the scene, and world_from_board.
+    """
+    rig = arc(
+        3, 35.0, 1.1, 1.15 * max(size), size, height=(0.55, 0.7, 0.6), distortion=(-0.09, 0.02, 0.0003, -0.0002, 0.0)
+    )
+    lying = Rotation.from_matrix(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
+    about = Rotation.from_rotvec([0, 0.4, 0]) * lying
+    floor = RigidTransform.from_components([0.02, 0.18, -0.22], about)
+    world_from_board = floor * RigidTransform.from_translation(-middle(board))
+    still = Actor(plate(board), lambda _: world_from_board)
+    scene = demo_scene(rig=Rig(rig.cameras, "m"), frames=frames, turn_deg=2.0 * frames, others=(still,))
+    return scene, world_from_board

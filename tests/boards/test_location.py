@@ -220,14 +220,14 @@ def test_a_marker_that_is_there_twice_is_not_taken() -> None:
     assert found.problems == ("cam_0: marker 3 is seen more than once",)
 
 
-def test_a_wrong_size_is_said() -> None:
+def test_how_large_it_is_seen_is_told() -> None:
     board, wrong = parse_board("chessboard:6x5,square=25mm", "m"), parse_board("chessboard:6x5,square=25", "m")
     rig, truth = above(board, 3, np.random.default_rng(2))
     seen = as_seen(board, rig, truth, [0, 0, 0], np.random.default_rng(2))
-    assert joined(rig, seen, board).problems == ()
-    said = joined(rig, seen, wrong).problems
-    assert len(said) == 1
-    assert said[0].startswith("the cameras see it 0.001 times as large as chessboard:6x5,square=25 says")
+    sizes = [joined(rig, seen, its).size for its in (board, wrong)]
+    assert sizes == [pytest.approx(1.0, abs=0.01), pytest.approx(0.001, abs=1e-5)]
+    # One camera has nothing to tell it by.
+    assert joined(rig, [seen[0], *[Detection(np.empty(0, np.int64), np.empty((0, 2)))] * 2], board).size is None
 
 
 def test_a_camera_that_was_moved_is_named() -> None:

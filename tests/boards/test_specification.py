@@ -7,7 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from sylpose.boards.specification import EXAMPLES, length_of, parse_board
+from sylpose.boards.specification import EXAMPLES, parse_board
+from sylpose.units import length_of
 
 
 @pytest.mark.parametrize("text", EXAMPLES)
@@ -70,7 +71,7 @@ def test_chessboards_that_look_the_same_turned_are_known(text: str, turns: int) 
         ("chessboard:9x6,square", "KEY=VALUE is expected between the commas, got 'square'"),
         ("chessboard:9x6,square=1,Square=1", "'Square' is given twice"),
         ("charuco:5x7,square=1,marker=2,dict=4X4_50", "marker must be smaller than square"),
-        ("charuco:5x7,square=1,marker=0.5", "a dictionary of markers is expected (4X4_50, "),
+        ("charuco:5x7,square=1,marker=0.5", "a dictionary of markers is expected, such as 4X4_50, "),
         ("charuco:5x7,square=1,marker=0.5,dict=4X4_51", "got '4X4_51'"),
         ("acircles:4x10,spacing=1,diameter=0.5", "an odd one is expected"),
         ("circles:4x10,spacing=1,diameter=2", "diameter must be less than what lies between"),

@@ -160,6 +160,19 @@ def test_board4() -> None:
 # Videos
 
 
+def test_a_title_that_is_no_utf8_is_no_reason_to_refuse_a_video(folder: Path) -> None:
+    for c in range(2):
+        path = folder / f"cam_{c}.mkv"
+        with av.open(str(path), "w") as container:
+            container.metadata["title"] = "Kamera vorn"
+            stream = container.add_stream("ffv1", rate=10)
+            stream.width, stream.height, stream.pix_fmt = *SIZE, "bgr0"
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(paint(c, 0, SIZE), format="bgr24")))
+            container.mux(stream.encode())
+        path.write_bytes(path.read_bytes().replace(b"Kamera vorn", b"Kamer\xe4 v\xffrn"))
+    assert len(list(open_session(folder).frames())) == 1
+
+
 @pytest.mark.parametrize(
     ("codec", "suffix"), [("mpeg4", "mp4"), ("mjpeg", "avi"), ("ffv1", "mkv"), ("mpeg4", "MOV"), ("mpeg4", "ts")]
 )

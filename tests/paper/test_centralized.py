@@ -382,6 +382,8 @@ def test_problems_of_the_same_cameras_may_share_them() -> None:
     np.testing.assert_array_equal(shared.noise_information, repeated.noise_information)
     np.testing.assert_array_equal(shared[2].information, repeated[2].information)
     assert len(solve_centralized_batch(cameras[0], moments[:0])) == 0
+    lists = [[PairMoments(matrix) for matrix in matrices] for matrices in moments]
+    np.testing.assert_array_equal(solve_centralized_batch(cameras[0], lists, aim=False).candidates, shared.candidates)
 
 
 def test_bad_batches_are_refused() -> None:

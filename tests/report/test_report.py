@@ -390,7 +390,7 @@ def test_other_angles_have_columns_of_their_own_and_are_drawn(tmp_path: Path) ->
         assert turn.magnitude() < 1e-7
     read = read_trajectory(tmp_path / "trajectory.csv")
     np.testing.assert_allclose(read.positions, trajectory.positions, atol=1e-9)
-    assert [label for label, _ in plots._labels(angles_of("XYZ"))] == [
+    assert [label for label, _ in plots.angle_labels(angles_of("XYZ"))] == [
         f"angle{k} (about {c})" for k, c in enumerate("xyz", 1)
     ]
     plot_trajectory(trajectory, tmp_path / "report.png", angles=about)

@@ -16,12 +16,12 @@ from sylpose.numerics.arrays import Image
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera
 from sylpose.simulate import Actor, arc, demo_scene, render_frames
-from sylpose.tracking.camera import CLEARLY, SeenAgain
 from sylpose.tracking.crew import OneProcess
 from sylpose.tracking.frame import CameraFrame, Pair
 from sylpose.tracking.joint import MIN_MOVED, Joint
 from sylpose.tracking.phases import PATIENCE
 from sylpose.tracking.records import Ages, Agreed
+from sylpose.tracking.seen_again import CLEARLY, SeenAgain
 from sylpose.tracking.start import FirstMotion, agree, first_motion, jitter_of
 from sylpose.tracking.tracker import track
 from tests.clips import HALF_DEGREE, SIZE, Clip, errors, frame_sets, rested, statuses

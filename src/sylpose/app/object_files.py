@@ -26,7 +26,7 @@ from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.known_here import known_here
 from sylpose.tracking.known_object import FEWEST, CameraMemory, KnownObject, ObjectFrame
 
-__all__ = ["CLOUD", "OBJECT", "checksum_of", "known_objects", "load_object", "save_object", "write_cloud"]
+__all__ = ["CLOUD", "DRAWN", "OBJECT", "checksum_of", "known_objects", "load_object", "save_object", "write_cloud"]
 
 OBJECT, CLOUD = "object.npz", "object.ply"
 FORMAT = "sylpose object 1"

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
+from sylpose.app.world import WorldAsked, world_of_session
 from sylpose.capture import Session, live, open_session
+from sylpose.capture.session import SessionBase
 
 __all__ = ["camera_files", "check_out", "open_asked", "open_recorded"]
+
+Opened = TypeVar("Opened", bound=SessionBase)
 
 
 def open_recorded(
@@ -20,12 +26,13 @@ def open_recorded(
     camera: Sequence[str] | None = None,
     rate: float | None = None,
     unit: str | None = None,
+    world: WorldAsked | None = None,
 ) -> Session:
     """A recording; the arguments are the options of the same names, None where they were not given.
 
     Raises:
-        ValueError, FileNotFoundError: as `open_session` and `Rig.in_unit`; an offset that is not CAMERA=FRAMES, a camera
-            that is not NAME=FILE.
+        ValueError, OSError: as `open_session`, `world_of_session` and `Rig.in_unit`; an offset that is not CAMERA=FRAMES, a
+            camera that is not NAME=FILE.
     """
     cameras = camera_files(camera)
     opened = open_session(
@@ -37,7 +44,7 @@ def open_recorded(
         cameras=cameras,
         rate=rate,
     )
-    return opened if unit is None else opened.with_rig(opened.rig.in_unit(unit))
+    return _told(opened, world, unit)
 
 
 def open_asked(
@@ -53,6 +60,7 @@ def open_asked(
     rate: float | None,
     camera: Sequence[str] | None = None,
     unit: str | None = None,
+    world: WorldAsked | None = None,
 ) -> Session | live.LiveSession:
     """A recording, or with `follow` or a live.toml a live session; otherwise as `open_recorded`.
 
@@ -62,7 +70,7 @@ def open_asked(
     if not (follow or live.is_live(path)):
         if lossless:
             raise ValueError("--lossless is only for growing folders, with --follow")
-        return open_recorded(path, calibration, boxes, masks, offset, camera, rate, unit)
+        return open_recorded(path, calibration, boxes, masks, offset, camera, rate, unit, world)
     if camera:
         raise ValueError(
             "--camera: of live cameras live.toml says which is which, and growing folders have their names"
@@ -76,6 +84,14 @@ def open_asked(
     opened = live.open_live(
         path, calibration=calibration, boxes=boxes, masks=masks, follow=follow, lossless=lossless, rate=rate
     )
+    return _told(opened, world, unit)
+
+
+def _told(opened: Opened, world: WorldAsked | None, unit: str | None) -> Opened:
+    """The session in another world, then in another unit: lengths that `world` has are the calibration's."""
+    if world is not None:
+        found, notes = world_of_session(opened, world)
+        opened = replace(opened.told_in(found), warnings=(*opened.warnings, *notes))
     return opened if unit is None else opened.with_rig(opened.rig.in_unit(unit))
 
 

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from sylpose import __version__
+from sylpose.app.album import Album, step_after
 from sylpose.app.clock import Clock
 from sylpose.app.object_files import checksum_of
 from sylpose.app.opening import check_out
+from sylpose.app.outcome import Run
 from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
-from sylpose.app.record import SETTINGS, USED, write_record
+from sylpose.app.progress import Watcher, watched
+from sylpose.app.record import SETTINGS, USED, WORLD, write_record
 from sylpose.app.results_folder import ResultsFolder, alone_in
 from sylpose.app.saving import Saver
 from sylpose.app.state import OutputState, RunState
@@ -26,7 +28,7 @@ from sylpose.methods import FEATURES, METHODS, MODES, features_of
 from sylpose.network.stepwise import NodesTracker
 from sylpose.numerics.angles import angles_of
 from sylpose.report.formats import FORMATS
-from sylpose.results import FramePose, Trajectory
+from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.sync.offsets import find_offsets, retimed
 from sylpose.tracking.known_object import KnownObject
@@ -40,41 +42,6 @@ __all__ = ["CHECKPOINT_SECONDS", "Run", "has_ended", "output_path", "track_sessi
 IMAGE_RATE = 2.0
 # Seconds between two checkpoints (choice: what one may lose).
 CHECKPOINT_SECONDS = 20.0
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """What `track_session` did.
-
-    Attributes:
-        trajectories: of all frames, by object; with one camera their unit is "first distances", unless the object's size is
-            known from another take.
-        files: that were written.
-        problems: sentences about what could not be read.
-        seconds: where the time went: "reading", "tracking" (detection, matching, solving), "saving" (checkpoints),
-            "overlay", "smoothing" and "plots".
-        changes: by object, what was found wrong with the calibration, a sentence for each camera; nothing unless that was
-            asked for.
-        network: by object, what its nodes told each other, a sentence; nothing where one process did everything.
-    """
-
-    trajectories: dict[str, Trajectory]
-    files: tuple[Path, ...]
-    problems: tuple[str, ...]
-    seconds: dict[str, float]
-    changes: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    network: dict[str, str] = field(default_factory=dict)
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """Of the only object.
-
-        Raises:
-            ValueError: there are several.
-        """
-        if len(self.trajectories) > 1:
-            raise ValueError(f"several objects ({', '.join(self.trajectories)}): take one of `trajectories`")
-        return next(iter(self.trajectories.values()))
 
 
 def output_path(session: Session | LiveSession, out: Path | str | None = None) -> Path:
@@ -117,6 +84,7 @@ def track_session(
     distributed: str | None = None,
     resume: bool = False,
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
+    progress: bool | Watcher | None = None,
     on_resume: Callable[[int], None] | None = None,
     on_frame: Callable[[TrackedFrame], None] | None = None,
     on_pose: Callable[[str, FramePose], None] | None = None,
@@ -124,9 +92,9 @@ def track_session(
     on_problem: Callable[[str], None] | None = None,
     interrupted: Callable[[], bool] | None = None,
 ) -> Run:
-    """Track a session and write `trajectory.tum`, `trajectory.csv`, `report.png` and `overlay.mp4`.
+    """Track a session and write `trajectory.tum`, `trajectory.csv`, `report.png`, `report.html` and `overlay.mp4`.
 
-    Of several objects, each has a folder of its name with the first three. Whatever ends it early (Ctrl-C, a full disk, a
+    Of several objects, each has a folder of its name with the first four. Whatever ends it early (Ctrl-C, a full disk, a
     bug), the frames solved until then are in the trajectory files, and `report.png` and `overlay.mp4` are finished with
     them before the exception goes on; of a run that is killed they are in `tracked.tum` and `tracked.csv`, if it was to be
     smoothed. `resume` goes on from the last checkpoint, and comes to the same trajectories as if there had been no
@@ -152,6 +120,8 @@ def track_session(
             (`network.stepwise`), of a recording.
         resume: go on with the run in `out` that was interrupted. It must have had the same options.
         checkpoint_seconds: between two checkpoints; 0 for one after every frame. Live sessions have none.
+        progress: True for a bar in a terminal or a notebook; or called with the numbers of frames that are tracked and that
+            there are (None for live sessions). None: nothing is shown.
         on_resume: called with the number of frames that the interrupted run has solved.
         on_frame: called with each frame once it is in the trajectory files; of several objects, with each of them.
         on_pose: called with the object's name and its pose in each frame, as it is tracked.
@@ -189,7 +159,8 @@ def track_session(
         if on_problem is not None:
             on_problem(problem)
 
-    smooth = _is_smoothed(smooth, session, method, len(range(start, _end(session, stop), max(every, 1))))
+    number = len(range(start, _end(session, stop), max(every, 1)))
+    smooth = _is_smoothed(smooth, session, method, number)
     asked = {"method": method, "features": features, "seed": seed, "start": start, "stop": stop, "every": every}
     if isinstance(known, KnownObject):
         if len(session.objects) > 1:
@@ -228,7 +199,9 @@ def track_session(
             raise FileNotFoundError(f"{results.path}: no interrupted run to resume (there is no such folder)")
         # Up to here nothing was written.
         whole.enter_context(alone_in(results.path))
+        shown = whole.enter_context(watched(progress, len(session.rig), number or None, len(trackers)))
         position, states = 0, {name: OutputState() for name in session.objects}
+        album = Album(len(session.rig))
         outputs: dict[str, ObjectOutput] = {}
 
         def begun() -> bool:
@@ -242,12 +215,16 @@ def track_session(
                 if isinstance(tracker, Tracker):
                     tracker.go_back(saved.trackers[name])
             frames = _rest(session, start, stop, every, position, said)
+            if position:
+                first = start + position * every
+                album.go_on(position, session.frames(start, first, every * step_after(position), lambda _: None))
+            shown.skip(position)
             if on_resume is not None:
                 on_resume(position)
         else:
             results.set_aside()
             whole.push(lambda error, *_: results.put_back() if error is not None and not begun() else None)
-            write_record(results.path, session, asked)
+            write_record(results.path, session, asked, _noticed(session, start))
             if saver is not None:
                 saver.begin(RunState(0, _memories(trackers), states))
 
@@ -264,6 +241,7 @@ def track_session(
                 angles=about,
                 note=_note(session, name, method, smooth),
                 known=tracker.known if isinstance(tracker, Tracker) else None,
+                album=album,
                 resume=state,
             )
             stack.callback(outputs[name].close)
@@ -282,16 +260,24 @@ def track_session(
                     said(tracked.note if len(outputs) == 1 else f"{name}: {tracked.note}")
                 if drawing is not None:
                     drawing.put(name, tracked)
+                shown.update(tracked)
                 if on_frame is not None:
                     on_frame(tracked)
                 if on_pose is not None:
                     on_pose(name, tracked.pose)
+
+        def refined(number: int) -> None:
+            shown.smoothing(number)
+            if on_smoothing is not None:
+                on_smoothing(number)
 
         def state_now() -> RunState:
             return RunState(position, _memories(trackers), {name: output.state() for name, output in outputs.items()})
 
         stack.enter_context(closing(frames))
         for frame_set in clock.around("reading", frames):
+            with clock.part("plots"):
+                album.put(frame_set)
             for name, tracker in trackers.items():
                 with clock.part("tracking"):
                     decided = tracker.step(frame_set.of(name))
@@ -307,7 +293,7 @@ def track_session(
                 decided = tracker.flush()
             take(name, decided)
         for name, output in outputs.items():
-            if sentence := output.finish(on_smoothing):
+            if sentence := output.finish(refined):
                 said(sentence if len(outputs) == 1 else f"{name}: {sentence}")
         for name, tracker in trackers.items():
             if isinstance(tracker, Tracker) and method == METHODS[0]:
@@ -316,6 +302,7 @@ def track_session(
         results.end()
     files = [file for output in outputs.values() for file in output.files] + ([overlay_path] if overlay else [])
     files += [results.path / SETTINGS, results.path / USED]
+    files += [results.path / WORLD] if session.world is not None else []
     trajectories = {name: output.trajectory for name, output in outputs.items()}
     changes = {name: tuple(output.changes) for name, output in outputs.items()}
     network = {name: tracker.cost() for name, tracker in trackers.items() if isinstance(tracker, NodesTracker)}
@@ -327,6 +314,13 @@ def _note(session: Session | LiveSession, name: str, method: str, smooth: bool) 
     of = session.path.resolve().name + (f", {name}" if len(session.objects) > 1 else "")
     how = f"method {method}" + (", refined together" if smooth else "")
     return f"{of}, {how}, sylpose {__version__}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"
+
+
+def _noticed(session: Session | LiveSession, start: int) -> list[str]:
+    """What looks wrong before the run."""
+    from sylpose.app.check import concerns
+
+    return concerns(session, start)
 
 
 def _refuse(distributed: str, session: Session | LiveSession, *, resume: bool, known: bool) -> None:

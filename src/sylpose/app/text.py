@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
-import sys
 import textwrap
-import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import groupby
@@ -14,29 +11,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
+from sylpose.app.console import make_console, say
 from sylpose.reading import SENTENCE, one_line
 from sylpose.report.disagreement import remarks
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
+from sylpose.told import length
 from sylpose.units import FIRST_DISTANCES
 
 if TYPE_CHECKING:  # loading these takes a second
-    from sylpose.app.run import Run
+    from sylpose.app.outcome import Run
     from sylpose.capture import Session
     from sylpose.capture.live import LiveSession
     from sylpose.report.rigview import CameraView
-    from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = [
     "RIG_HEADER",
-    "TrackingProgress",
     "frame_line",
     "headline",
     "length",
     "make_console",
+    "per_camera",
     "print_facts",
     "print_files",
     "print_summary",
@@ -50,20 +47,6 @@ __all__ = [
 SHOWN_WARNINGS = 12
 MOST_STRETCHES = 4  # of frames that were not found, of which it is said why
 LABEL = 14
-BETWEEN_LINES = 20.0  # seconds, of progress where there is no terminal
-
-
-def make_console(*, stderr: bool = False, quiet: bool = False) -> Console:
-    """A console that never breaks lines where nobody looks at them: in files and pipes."""
-    console = Console(stderr=stderr, quiet=quiet, highlight=False, emoji=False, markup=False)
-    if not console.is_terminal:
-        console.width = 10_000
-    return console
-
-
-def say(sentence: str) -> None:
-    """What went wrong, on stderr."""
-    print(f"sylpose: {one_line(sentence, SENTENCE)}", file=sys.stderr)
 
 
 def print_facts(console: Console, facts: Iterable[tuple[str, str]]) -> None:
@@ -104,14 +87,6 @@ def print_table(console: Console, header: Sequence[str], rows: Iterable[Sequence
     console.print(table)
 
 
-def length(value: float, unit: str) -> str:
-    """A length for people, to three digits: millimetres below one metre."""
-    if unit == "m" and value < 1:
-        value, unit = 1000 * value, "mm"
-    digits = 2 - math.floor(math.log10(value)) if value > 0 else 0
-    return f"{value:.{min(max(digits, 0), 9)}f} {unit or 'units'}"
-
-
 def headline(session: Session | LiveSession) -> Text:
     """The session's name, cameras, frames, rate and objects in one line."""
     rate = f" at {session.rate:.4g} per second" if session.rate else ""
@@ -121,84 +96,6 @@ def headline(session: Session | LiveSession) -> Text:
         frames = f"{session.n_frames} frame{'s' if session.n_frames > 1 else ''}"
     objects = f", {len(session.objects)} objects: {', '.join(session.objects)}" if len(session.objects) > 1 else ""
     return Text.assemble((session.path.resolve().name, "bold"), f": {cameras}, {frames}{rate}{objects}")
-
-
-class TrackingProgress:
-    """A progress bar on stderr, where that is no terminal a line every twenty seconds: frames, frames per second, inliers.
-
-    A context manager; `update` is what `track_session` takes as `on_frame`.
-
-    Args:
-        cameras: how many.
-        frames: how many, with those that are skipped; None when nobody knows.
-        objects: `update` is called for each of them.
-        quiet: nothing is shown.
-    """
-
-    def __init__(self, cameras: int, frames: int | None, objects: int = 1, *, quiet: bool = False) -> None:
-        self._updates, self._skipped, self._objects = 0, 0, objects
-        self._said = time.monotonic()
-        console = make_console(stderr=True, quiet=quiet)
-        self._quiet = quiet
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn(f"{cameras} camera{'s' if cameras > 1 else ''}"),
-            TextColumn("{task.fields[rate]}"),
-            TextColumn("{task.fields[inliers]}"),
-            TimeRemainingColumn(compact=True),
-            console=console,
-            transient=True,
-            disable=quiet or not console.is_terminal,
-        )
-        self._task = self._progress.add_task("Tracking", total=frames, rate="", inliers="")
-
-    def __enter__(self) -> TrackingProgress:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def stop(self) -> None:
-        """Takes the bar away; twice does no harm."""
-        self._progress.stop()
-
-    @property
-    def tracked(self) -> int:
-        """Frames that all objects are tracked in."""
-        return self._updates // self._objects
-
-    @property
-    def done(self) -> int:
-        """Frames, those included that an earlier run has tracked."""
-        return self._skipped + self.tracked
-
-    def skip(self, frames: int) -> None:
-        """Frames that an earlier run has tracked."""
-        self._skipped = frames
-        self._progress.update(self._task, completed=frames)
-
-    def smoothing(self, number: int) -> None:
-        """One round more in which all poses are refined together."""
-        self._progress.update(self._task, description="Refining", total=None, rate=f"round {number}", inliers="")
-
-    def update(self, tracked: TrackedFrame) -> None:
-        """One frame of one object more."""
-        self._updates += 1
-        pose = tracked.pose
-        measured = pose.measured and pose.status is not FrameStatus.FIRST
-        inliers = f"{int(pose.inliers.sum())} inliers" if measured else pose.reason or pose.status.value
-        elapsed = self._progress.tasks[0].elapsed
-        rate = f"{self.tracked / elapsed:.1f} frames/s" if elapsed else ""
-        self._progress.update(self._task, completed=self.done, rate=rate, inliers=inliers)
-        now = time.monotonic()
-        if self._progress.disable and not self._quiet and now - self._said >= BETWEEN_LINES:
-            self._said = now
-            total = self._progress.tasks[0].total
-            of = "" if total is None else f" of {total:.0f}"
-            say(f"tracked {self.done}{of} frames, {rate or 'no rate yet'}, {inliers}")
 
 
 def frame_line(name: str, pose: FramePose, cameras: Sequence[str], unit: str) -> str:
@@ -219,7 +116,7 @@ def print_summary(console: Console, run: Run, tracked: int) -> None:
             console.print(Text(name, "bold"))
         print_facts(console, _findings(trajectory))
         console.print()
-        print_table(console, ("Camera", "frames used", "inliers", "residual"), _per_camera(trajectory))
+        print_table(console, ("Camera", "frames used", "inliers", "residual"), per_camera(trajectory))
         console.print()
         if name in run.network:
             print_facts(console, [("Network", run.network[name])])
@@ -288,7 +185,8 @@ def _why_not(trajectory: Trajectory) -> list[str]:
     return said
 
 
-def _per_camera(trajectory: Trajectory) -> list[list[str]]:
+def per_camera(trajectory: Trajectory) -> list[list[str]]:
+    """Rows: a camera, in how many frames it was used, its inliers and its residual in the middle of these."""
     frames = solved(trajectory)
     rows = []
     for c, name in enumerate(trajectory.camera_names):

@@ -148,7 +148,7 @@ def _plane(flat: FloatArray, places: FloatArray, camera: Camera) -> _Plane:
     if not len(flat):
         return none
     seen = camera.normalize(places.reshape(-1, 2))
-    matrix, _ = cv2.findHomography(flat.reshape(-1, 2), seen, cv2.RANSAC, FITS_PX / camera.focal)
+    matrix: Any = cv2.findHomography(flat.reshape(-1, 2), seen, cv2.RANSAC, FITS_PX / camera.focal)[0]
     if matrix is None:
         return none
     there = cv2.perspectiveTransform(flat.reshape(-1, 1, 2), matrix)[:, 0]

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.boards.detection import Detection, detect
 from sylpose.boards.specification import Board
+from sylpose.frames import FrameSet, check_frames
 from sylpose.known_model.pose import estimate_pose
 from sylpose.numerics.arrays import FloatArray, Image, IntArray
 from sylpose.numerics.checked import items, kind_of
@@ -18,9 +19,8 @@ from sylpose.rig import Camera, Rig
 
 __all__ = ["Sighting", "find_board", "joined"]
 
-# Of a target that several cameras see, distances as they see them, by those that were given, may be off by this share
-# (choice: a printer's scaling is a few percent, a wrong unit a factor).
-SIZE_OFF = 0.05
+# A size that is known less surely than to this share is not told (choice: a printer's scaling is a few percent).
+SIZE_KNOWN = 0.0125
 # Two cameras' rays that miss each other by more, pixels, are of no common point; their points are as good as this (choice).
 MISSED_PX, USUAL_PX = 5.0, 0.5
 # Points around a circle that stand for it (choice).
@@ -40,6 +40,8 @@ class Sighting:
         motion: world_from_board with its status and covariance, as `estimate_pose` has it.
         alike: how many turns of the target look the same; beyond 1, the one that was taken is a choice: that whose x axis is
             most to the right in the image of the first camera that sees it.
+        size: how large it is by where the rays of two cameras meet, as a share of how large it was said to be; None where
+            nothing tells.
         problems: sentences on what looks wrong.
     """
 
@@ -47,6 +49,7 @@ class Sighting:
     pixels: tuple[FloatArray, ...]
     motion: Motion
     alike: int
+    size: float | None
     problems: tuple[str, ...]
 
     @property
@@ -64,10 +67,13 @@ def find_board(rig: Rig, images: Sequence[Image | None], board: Board, *, seed: 
         board: of `parse_board`, in the rig's unit.
 
     Raises:
-        ValueError: not one image per camera; this OpenCV has no detector for it.
+        TypeError, ValueError: not one image per camera, of its size; this OpenCV has no detector for the target.
     """
     n = len(kind_of(rig, Rig, "rig"))
     images = items(images, "images", n)
+    nothing = (None,) * n
+    check_frames(FrameSet(0, 0.0, nothing, tuple(images), nothing), rig)
+    board = kind_of(board, Board, "board")
     none = Detection(np.empty(0, np.int64), np.empty((0, 2)))
     seen = [none if image is None else detect(image, camera, board) for camera, image in zip(rig, images, strict=True)]
     return joined(rig, seen, board, seed=seed)
@@ -102,8 +108,9 @@ def joined(rig: Rig, seen: Sequence[Detection], board: Board, *, seed: int = 0) 
         )
         motion = estimate_pose(rig, points, pixels, seed=seed)
     problems = [f"{rig.names[c]}: {its.problem}" for c, its in enumerate(seen) if its.problem]
-    problems += _wrong(rig, seen, board, points, pixels, motion)
-    return Sighting(points, pixels, motion, len(board.alike), tuple(problems))
+    size = _size_seen(rig, seen, board)
+    problems += _elsewhere(rig, points, pixels, motion)
+    return Sighting(points, pixels, motion, len(board.alike), size, tuple(problems))
 
 
 def _matches(
@@ -160,21 +167,8 @@ def _chosen(seen: Sequence[Detection], board: Board, turns: Mapping[int, IntArra
     return {c: best[turn] for c, turn in turns.items()}
 
 
-def _wrong(
-    rig: Rig,
-    seen: Sequence[Detection],
-    board: Board,
-    points: Sequence[FloatArray],
-    pixels: Sequence[FloatArray],
-    motion: Motion,
-) -> list[str]:
-    """Sentences on a target of another size than was given, and on cameras that see it elsewhere than the others."""
-    ratio = _size_seen(rig, seen, board)
-    if ratio is not None and abs(np.log(ratio)) > SIZE_OFF:
-        return [
-            f"the cameras see it {ratio:.3g} times as large as {board.text} says: a length in it, or the unit of the "
-            "calibration, is another"
-        ]
+def _elsewhere(rig: Rig, points: Sequence[FloatArray], pixels: Sequence[FloatArray], motion: Motion) -> list[str]:
+    """A sentence on each camera that sees the target elsewhere than the others."""
     found = []
     for camera, where, its in zip(rig, points, pixels, strict=True):
         if motion.motion is not None and len(its):
@@ -186,8 +180,7 @@ def _wrong(
 
 
 def _size_seen(rig: Rig, seen: Sequence[Detection], board: Board) -> float | None:
-    """How large the target is by where the rays of two cameras meet, the median over pairs, as a share of how large it was
-    said to be; None where nothing tells."""
+    """As `Sighting` has it, the median over pairs of cameras."""
     ratios = []
     with_points = [c for c, its in enumerate(seen) if len(its.numbers)]
     for i, a in enumerate(with_points):
@@ -195,7 +188,7 @@ def _size_seen(rig: Rig, seen: Sequence[Detection], board: Board) -> float | Non
             pair = (rig.cameras[a], rig.cameras[b])
             met = [_met(pair, seen[a], seen[b], way) for way in board.alike]
             miss, points, numbers, doubt = min(met, key=lambda its: its[0])
-            if miss > MISSED_PX or len(numbers) < 3 or doubt > SIZE_OFF / 4.0:
+            if miss > MISSED_PX or len(numbers) < 3 or doubt > SIZE_KNOWN:
                 continue
             spreads = [np.linalg.norm(x - x.mean(axis=0)) for x in (points, board.points[numbers])]
             ratios.append(float(spreads[0] / spreads[1]))

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.checked import finite, finite_rows, items, kind_of, number, one_of, shown, truth, whole
 from sylpose.reading import one_line
-from sylpose.units import METRES
+from sylpose.units import length_of
 
-__all__ = ["EXAMPLES", "Board", "length_of", "parse_board"]
+__all__ = ["EXAMPLES", "Board", "is_board", "parse_board"]
 
 # One of each kind, as it is typed.
 EXAMPLES = (
@@ -39,9 +40,9 @@ DICTIONARIES = {
         *(f"APRILTAG_{family}" for family in ("16h5", "25h9", "36h10", "36h11")),
     )
 }
-# No target has more points a side; none of its lengths is smaller or larger (choice).
-MOST_A_SIDE, LEAST, LARGEST = 100, 1e-9, 1e9
-MOST_TAGS = 10_000
+# No target has more points a side (choice).
+MOST_A_SIDE = 100
+MOST_TAGS, MOST_BORDER = 10_000, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,9 @@ class Board:
         border: black bits around a marker's code.
         half_turned: the marker is printed upside down, as OpenCV has it.
         diameter: of its circles.
+
+    Raises:
+        TypeError, ValueError: naming what is none of these, or does not fit the others.
     """
 
     kind: str
@@ -74,6 +78,37 @@ class Board:
     half_turned: bool = False
     diameter: float = 0.0
 
+    def __post_init__(self) -> None:
+        columns, rows = (
+            whole(side, "size", least=1, most=MOST_A_SIDE) for side in items(self.size, "size", 2, "sides")
+        )
+        counts = {"charuco": (columns - 1) * (rows - 1), "marker": 4, "aprilgrid": 4 * columns * rows}
+        kind = one_of(self.kind, ("charuco", "chessboard", "circles", "acircles", "marker", "aprilgrid"), "kind")
+        points = finite_rows(self.points, 3, "points")
+        n = counts.get(kind, columns * rows)
+        if len(points) != n:
+            raise ValueError(f"points: {len(points)} for a target of {n}")
+        alike = tuple(finite(way, (n,), "alike") for way in items(self.alike, "alike"))
+        if not alike or any((np.sort(way) != np.arange(n)).any() for way in alike):
+            raise ValueError(f"alike must have the numbers 0 to {n - 1} in some order each")
+        object.__setattr__(self, "size", (columns, rows))
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "alike", tuple(way.astype(np.int64) for way in alike))
+        kind_of(self.text, str, "text")
+        if self.dictionary not in ("", *DICTIONARIES.values()):
+            raise ValueError(f"dictionary: {shown(self.dictionary)} is none of OpenCV's")
+        truth(self.half_turned, "half_turned")
+        whole(self.first_id, "first_id", most=MOST_TAGS)
+        whole(self.border, "border", least=1, most=MOST_BORDER)
+        number(self.marker_share, "marker_share", above=0.0, most=1.0)
+        number(self.diameter, "diameter", least=0.0)
+
+
+def is_board(text: str) -> bool:
+    """Whether a text is a description of a target, right or wrong."""
+    kind, colon, _ = text.partition(":")
+    return bool(colon) and kind.strip().lower() in _KINDS
+
 
 def parse_board(text: str, unit: str = "") -> Board:
     """A target as users describe it; `EXAMPLES` has one of each kind.
@@ -83,13 +118,16 @@ def parse_board(text: str, unit: str = "") -> Board:
         unit: of the points, the calibration's; lengths are in it, unless one has a unit of its own (`25mm`).
 
     Raises:
-        ValueError: in one sentence, what of the description is wrong, and what was expected.
+        TypeError, ValueError: in one sentence, what of the description is wrong, and what was expected.
     """
-    kind, colon, rest = text.partition(":")
+    text, unit = kind_of(text, str, "text"), kind_of(unit, str, "unit")
+    kind, _, rest = text.partition(":")
     kind = kind.strip().lower()
-    if not colon or kind not in _KINDS:
-        examples = "; ".join(EXAMPLES)
-        raise ValueError(f"{_shown(text)} is no board or marker: expected is one such as {examples}")
+    if not is_board(text):
+        raise ValueError(
+            f"{_shown(text)} is no board or marker: expected is one such as {EXAMPLES[0]} or {EXAMPLES[1]}; known are "
+            f"{', '.join(_KINDS)}"
+        )
     what, *settings = [part.strip() for part in rest.split(",")]
     values: dict[str, str] = {}
     for setting in settings:
@@ -107,30 +145,6 @@ def parse_board(text: str, unit: str = "") -> Board:
         example = next(e for e in EXAMPLES if e.startswith(f"{kind}:"))
         raise ValueError(f"{_shown(text)}: {error}; expected is one such as {example}") from None
     return board
-
-
-def length_of(text: str, name: str, unit: str) -> float:
-    """A length as users type it, `0.04` or `40mm`, in `unit`.
-
-    Raises:
-        ValueError: naming it: no positive number, a unit that is not known, or one that cannot be told in `unit`.
-    """
-    found = re.fullmatch(r"([0-9.eE+-]+)\s*([A-Za-z]*)", text.strip())
-    try:
-        value = float(found[1]) if found else np.nan
-    except ValueError:
-        value = np.nan
-    if found is None or not LEAST <= value <= LARGEST:
-        raise ValueError(f"{name} must be a positive length such as 0.04 or 40mm, got {_shown(text)}")
-    if not found[2]:
-        return value
-    if found[2] not in METRES:
-        raise ValueError(f"{name}: {_shown(found[2])} is no unit of length ({', '.join(METRES)})")
-    if unit not in METRES:
-        raise ValueError(
-            f"{name} is in {found[2]}, but the calibration does not say its own unit: give it in that, without a name"
-        )
-    return value * METRES[found[2]] / METRES[unit]
 
 
 class _Asked:
@@ -275,7 +289,10 @@ def _dictionary(name: str) -> str:
     bare = name.upper().removeprefix("DICT_")
     if bare not in DICTIONARIES:
         got = _shown(name) if name else "none"
-        raise ValueError(f"a dictionary of markers is expected ({', '.join(DICTIONARIES.values())}), got {got}")
+        raise ValueError(
+            "a dictionary of markers is expected, such as 4X4_50, 6X6_250, ARUCO_ORIGINAL or APRILTAG_36h11 (OpenCV's), "
+            f"got {got}"
+        )
     return DICTIONARIES[bare]
 
 
@@ -286,7 +303,7 @@ def _family(name: str) -> str:
 
 
 def _border(asked: _Asked, otherwise: int) -> int:
-    border = asked.whole("border", otherwise, 4)
+    border = asked.whole("border", otherwise, MOST_BORDER)
     if border < 1:
         raise ValueError("border must be at least 1 bit")
     return border

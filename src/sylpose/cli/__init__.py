@@ -1,5 +1,5 @@
-"""The command line: `sylpose track`, `batch`, `check`, `sync`, `view`, `demo`, `experiments`, `node`, `nodes`,
-`network`, `calibration`, `object` and `pose`.
+"""The command line: `sylpose track`, `batch`, `check`, `box`, `sync`, `show`, `view`, `report`, `demo`, `experiments`,
+`node`, `nodes`, `network`, `calibration`, `object`, `pose` and `doctor`.
 
 Everything but the options is imported where it is used: the tracker and matplotlib take a second each, which `--help` does
 not need.
@@ -18,9 +18,21 @@ from sylpose import __version__
 from sylpose.cli.asked import app
 
 # Loading them gives them to the app, in the order of `--help`.
-from sylpose.cli import track, batch, recordings, studies, network, calibrations, objects, poses  # isort: skip
+from sylpose.cli import track, batch, recordings, studies, network, calibrations, objects, poses, doctor  # isort: skip
 
-__all__ = ["app", "batch", "calibrations", "main", "network", "objects", "poses", "recordings", "studies", "track"]
+__all__ = [
+    "app",
+    "batch",
+    "calibrations",
+    "doctor",
+    "main",
+    "network",
+    "objects",
+    "poses",
+    "recordings",
+    "studies",
+    "track",
+]
 
 
 def main(argv: Sequence[str] | None = None) -> int:

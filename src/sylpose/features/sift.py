@@ -103,6 +103,7 @@ def detect(
     max_features: int = MAX_FEATURES,
     *,
     faint: bool = False,
+    max_pixels: int | None = None,
 ) -> Features:
     """SIFT keypoints with RootSIFT descriptors.
 
@@ -112,6 +113,8 @@ def detect(
         mask: (h, w) True where to look; only its bounding box is computed. None: everywhere.
         max_features: the strongest are kept.
         faint: whether little contrast, or an edge, is enough.
+        max_pixels: what is looked at is made smaller until it has no more than these, and what is found is less exact by as
+            much. None: as it is.
 
     Source: Lowe 2004; RootSIFT, Arandjelovic & Zisserman, "Three things everyone should know", CVPR 2012.
     """
@@ -126,6 +129,13 @@ def detect(
         crop_mask = mask[top:bottom, left:right].astype(np.uint8) * 255
     crop = image[top:bottom, left:right]
     grey = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY) if crop.ndim == 3 else np.ascontiguousarray(crop)
+    step = np.ones(2)
+    if max_pixels is not None and grey.size > max_pixels:
+        size = np.array(grey.shape[1::-1])
+        smaller = np.floor(size * np.sqrt(max_pixels / grey.size)).astype(int)
+        grey, step = _cv2.resize(grey, smaller.tolist(), interpolation=cv2.INTER_AREA), size / smaller
+        if crop_mask is not None:
+            crop_mask = _cv2.resize(crop_mask, smaller.tolist(), interpolation=cv2.INTER_NEAREST)
     limits = (
         {"contrastThreshold": FAINT_CONTRAST, "edgeThreshold": FAINT_EDGE} if faint else {"contrastThreshold": CONTRAST}
     )
@@ -133,7 +143,9 @@ def detect(
     keypoints, descriptors = sift.detectAndCompute(grey, crop_mask)
     if descriptors is None or len(keypoints) == 0:
         return Features.none()
-    pixels = _cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + np.array([left, top]) - SIFT_BIAS_PX
+    # The centre of the first pixel is 0, in the smaller image too.
+    pixels = step * _cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + np.array([left, top])
+    pixels += 0.5 * (step - 1.0) - step * SIFT_BIAS_PX
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
     responses = np.array([keypoint.response for keypoint in keypoints])
     return Features(pixels, camera.normalize_to_grid(pixels), root.astype(np.float32), RESPONSES * responses < CONTRAST)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import lgamma
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.known_model.pose_kernels import (
-    Views,
     by_chance,
     drawn_good,
     fit,
@@ -21,11 +21,12 @@ from sylpose.known_model.pose_kernels import (
     search,
 )
 from sylpose.known_model.pose_noise import CUTOFF, Noise
-from sylpose.known_model.pose_views import agreeing, part_of, views_of
+from sylpose.known_model.pose_views import Views, agreeing, part_of, views_of
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.checked import finite_rows, items, kind_of, number, whole
 from sylpose.numerics.copies import distinct
 from sylpose.numerics.matrices import covariance_of
+from sylpose.numerics.noise import USUAL_PX, NoiseUnits, noise_units
 from sylpose.numerics.robust import BIQUARTIC_BOUND
 from sylpose.numerics.unseen import UNSEEN_SHARE, UNSEEN_TURN, about_a_turn, unseen_directions
 from sylpose.results import Motion, Status
@@ -38,8 +39,7 @@ __all__ = ["estimate_pose"]
 MIN_MATCHES = 4
 # Samples: at least, at most, and the chance that none of them was free of outliers (choice).
 MIN_SAMPLES, MAX_SAMPLES, MISSED = 20, 3000, 1e-4
-# No noise is less, pixels (choice).
-LEAST_ERROR = 1e-9
+LEAST_ERROR = 1e-9  # no noise is less, pixels (choice)
 # Poses are searched with at most so many matches, evenly from the cameras (choice).
 SEARCHED = 500
 # Poses that are followed, the steps that improve each, and the rounds of re-weighting (choice).
@@ -52,9 +52,9 @@ SAME_TURN = 0.05
 BY_CHANCE = 0.01
 # A camera says the pose that so large a share of its matches agree with (choice: a majority).
 SAYS = 0.5
-# Noise that is believed beforehand, pixels, as if so many degrees of freedom had shown it: four matches, which leave two,
-# may agree by far better than they were measured (choice).
-USUAL_PX, USUAL_FREEDOM = 0.5, 2.0
+# Usual noise is believed beforehand as if so many degrees of freedom had shown it: four matches, which leave two, may agree
+# by far better than they were measured; noise that is said as if so many had, an eighth of its size (choice).
+USUAL_FREEDOM, SAID_FREEDOM = 2.0, 30.0
 # Of two poses that explain the matches nearly equally well, the better is believed from these odds on (measured: of flat
 # models of 4 to 20 points before one camera that are OK, 1 in 250 is the mirror image; by odds of 3 and noise as the best
 # pose shows it, 1 in 25 is) (choice).
@@ -81,6 +81,7 @@ def estimate_pose(
     pixels: Sequence[ArrayLike],
     *,
     max_error_px: float = 12.0,
+    noise_px: ArrayLike | None = None,
     seed: int = 0,
 ) -> Motion:
     """The object's pose from points known in its own frame, seen by any subset of the cameras: solvePnP for many cameras.
@@ -92,20 +93,24 @@ def estimate_pose(
             several times counts once.
         max_error_px: matches further off than this are wrong, whatever the noise; set it to five times the largest
             noise that is to be expected.
+        noise_px: (C,) what is known of the noise in each camera: the standard deviation of a coordinate, pixels. The cameras
+            count accordingly, `max_error_px` is of the camera with the least and in proportion of others, and no less
+            noise is believed; where the matches show more, more is. Infinite: the camera has no say. None: the matches
+            alone tell.
         seed: of the search. Same input and seed, same result.
 
     Returns:
-        `Motion` with `motion` world_from_object; look at its `status` first. `center` is the mean of all given points,
-        copies aside, in the object's frame, as the centre of any motion is where it starts: `motion.apply(center)` is where
-        it lies in the world, and the covariance is of (w, d) with d the error of that place. `residuals` are reprojection
-        errors.
+        `Motion` with `motion` world_from_object; look at its `status` first. `center` is the mean of all given points, but
+        for copies and what cameras without a say see, in the object's frame, as the centre of any motion is where it starts:
+        `motion.apply(center)` is where it lies in the world, and the covariance is of (w, d) with d the error of that place.
+        `residuals` are reprojection errors.
         Fewer than four different matches give TOO_FEW_MATCHES; points on one line TURN_NOT_OBSERVABLE; a place that is
         less certain than half of its distance from the cameras SCALE_NOT_OBSERVABLE; matches that agree no better than
         random ones, or cameras as many of which say another pose, NOT_CONSISTENT.
 
     Raises:
         ValueError: not one array per camera; shapes that do not fit; values that are not finite, naming the camera; a
-            max_error_px that is not positive.
+            max_error_px that is not positive; noise of other cameras, or that none has.
 
     Source: docs/method.md, "A known model".
     """
@@ -113,6 +118,7 @@ def estimate_pose(
     points, pixels = items(points, "points", n), items(pixels, "pixels", n)
     max_error_px = number(max_error_px, "max_error_px", above=0.0, least=LEAST_ERROR, most=MAX_PX)
     seed = whole(seed, "seed")
+    units = NoiseUnits(np.ones(n), 0.0) if noise_px is None else noise_units(noise_px, n)
     models = [
         finite_rows(p, 3, f"camera {camera.name}: points", most=MAX_LENGTH)
         for camera, p in zip(rig, points, strict=True)
@@ -123,45 +129,54 @@ def estimate_pose(
     for camera, x, u in zip(rig, models, places, strict=True):
         if len(x) != len(u):
             raise ValueError(f"camera {camera.name}: {len(x)} points but {len(u)} pixels; give one pixel per point")
+    options: dict[str, Any] = {"max_error_px": max_error_px, "noise_px": noise_px, "seed": seed}
+    heard = units.per_px > 0.0
+    if any(len(x) and not hears for x, hears in zip(models, heard, strict=True)):
+        some = [[v if hears else v[:0] for v, hears in zip(vs, heard, strict=True)] for vs in (models, places)]
+        found = estimate_pose(rig, *some, **options)
+        masks = zip(found.inliers, models, heard, strict=True)
+        return replace(found, inliers=tuple(m if hears else np.zeros(len(x), bool) for m, x, hears in masks))
     singles = [distinct(x, u) for x, u in zip(models, places, strict=True)]
     if any(single is not None for single in singles):
         once = [[v if s is None else v[s.rows] for v, s in zip(vs, singles, strict=True)] for vs in (models, places)]
-        found = estimate_pose(rig, *once, max_error_px=max_error_px, seed=seed)
-        masks = zip(found.inliers, singles, strict=True)
-        return replace(found, inliers=tuple(mask if s is None else mask[s.which] for mask, s in masks))
+        found = estimate_pose(rig, *once, **options)
+        return replace(
+            found, inliers=tuple(m if s is None else m[s.which] for m, s in zip(found.inliers, singles, strict=True))
+        )
     counts = np.array([len(x) for x in models])
     model = np.concatenate(models)
     center = model.mean(axis=0) if len(model) else np.full(3, np.nan)
     if not _enough(model, np.repeat(np.arange(len(rig)), counts)):
-        return _result(counts, Status.TOO_FEW_MATCHES, center)
+        return _result(rig, counts, Status.TOO_FEW_MATCHES, center)
     used = np.flatnonzero(counts)
     cameras = [rig.cameras[c] for c in used]
-    origin, views = views_of(cameras, model - center, [places[c] for c in used])
+    origin, views = views_of(cameras, model - center, [places[c] for c in used], units.per_px[used], units.least)
+    top = float(max_error_px * units.per_px.max()) ** 2
     extent, axes = np.linalg.eigh(views.points.T @ views.points / len(model))
     if not extent[1] > 1e-12 * extent[2]:
-        return _result(counts, Status.TURN_NOT_OBSERVABLE, center, unseen=np.eye(6))
-    poses = _best_poses(views, max_error_px**2, axes[:, 0], np.random.default_rng(seed))
+        return _result(rig, counts, Status.TURN_NOT_OBSERVABLE, center, unseen=np.eye(6))
+    poses = _best_poses(views, top, axes[:, 0], np.random.default_rng(seed))
     if not poses:
-        return _result(counts, Status.NOT_CONSISTENT, center)
+        return _result(rig, counts, Status.NOT_CONSISTENT, center)
     best = poses[0]
     status = Status.OK if best.settled else Status.NOT_CONVERGED
     every = bool(best.weights.all())
-    if not every and (_by_luck(views, best) or _contradicted(views, best, max_error_px**2, axes[:, 0], seed)):
+    if not every and (_by_luck(views, best) or _contradicted(views, best, top, axes[:, 0], seed)):
         status = Status.NOT_CONSISTENT
     seen = np.empty((6, 6))
     information(views, best.rotation, best.place, best.noise, seen)
-    # The noise is itself estimated: the covariance is that of Student's distribution.
-    seen *= max(best.freedom - 2.0, 0.5) / best.freedom * _as_believed(best)
+    seen *= _as_believed(best, units.least)
     unseen = np.empty((0, 6))
     if status is Status.OK:
         limits = _limits(views, best)
-        weak = _unseen(views, poses, seen, limits)
+        weak = _unseen(views, poses, seen, limits, units.least)
         unseen = weak * limits
         if len(weak):
             status = Status.TURN_NOT_OBSERVABLE if about_a_turn(weak) else Status.SCALE_NOT_OBSERVABLE
         elif every and _by_luck(views, best):
             status = Status.NOT_CONSISTENT
-    return _result(counts, status, center, best, origin, seen, unseen)
+    found = _result(rig, counts, status, center, best, origin, seen, unseen)
+    return replace(found, residuals=found.residuals / np.where(heard, units.per_px, 1.0))
 
 
 def _enough(model: FloatArray, camera: IntArray) -> bool:
@@ -308,11 +323,18 @@ def _contradicted(views: Views, pose: _Pose, top: float, thin: FloatArray, seed:
     return 2 * int(instead.sum()) >= len(agree)
 
 
-def _as_believed(pose: _Pose) -> float:
-    """What is left of a pose's information where its noise is less than what is believed of noise."""
-    shown = float(np.median(pose.noise.variances))
-    variance = (pose.freedom * shown + USUAL_FREEDOM * USUAL_PX**2) / (pose.freedom + USUAL_FREEDOM)
-    return min(shown / variance, 1.0)
+def _beforehand(said: float) -> tuple[float, float]:
+    """The noise that is believed before the matches show it, pixels, and as if by how many degrees of freedom."""
+    return (said, SAID_FREEDOM) if said > 0.0 else (USUAL_PX, USUAL_FREEDOM)
+
+
+def _as_believed(pose: _Pose, said: float) -> float:
+    """What is left of a pose's information as its noise is itself estimated, so that the covariance is that of Student's
+    distribution, and where it is less than what is believed of noise; `said` is the noise that is known, pixels, or 0."""
+    believed, freedom = _beforehand(said)
+    shown, known = float(np.median(pose.noise.variances)), pose.freedom + (freedom if said > 0.0 else 0.0)
+    less = shown * (pose.freedom + freedom) / (pose.freedom * shown + freedom * believed**2)
+    return max(known - 2.0, 0.5) / known * min(less, 1.0)
 
 
 def _limits(views: Views, pose: _Pose) -> FloatArray:
@@ -322,28 +344,26 @@ def _limits(views: Views, pose: _Pose) -> FloatArray:
     return np.array([UNSEEN_TURN] * 3 + [UNSEEN_SHARE * distance] * 3)
 
 
-def _unseen(views: Views, poses: Sequence[_Pose], seen: FloatArray, limits: FloatArray) -> FloatArray:
-    """The directions (k, 6) of (w, d) with a standard deviation beyond the limits, in units of these, turn and place weighed
-    together; or the one to another pose, turned by more than the limit, that explains the matches about as well (flat
-    objects)."""
-    best, weak = poses[0], unseen_directions(seen, limits)
-    if len(weak):
+def _unseen(views: Views, poses: Sequence[_Pose], seen: FloatArray, limits: FloatArray, said: float) -> FloatArray:
+    """The directions (k, 6) of (w, d) that are known to less than the limits, in units of these; or the one to another pose,
+    turned by more, that explains the matches about as well."""
+    best = poses[0]
+    if len(weak := unseen_directions(seen, limits)):
         return weak
-    # The noise is not known, but believed to be about as large as noise is: few matches may agree by far better.
-    top, believed = CUTOFF**2 * float(np.median(best.noise.variances)), USUAL_FREEDOM * USUAL_PX**2
-    squares = [
-        BIQUARTIC_BOUND * top * score(views, pose.rotation, pose.place, top, np.inf) + believed for pose in poses
-    ]
+    (noise, freedom), top = _beforehand(said), CUTOFF**2 * float(np.median(best.noise.variances))
+    losses = np.array([score(views, pose.rotation, pose.place, top, np.inf) for pose in poses])
+    squares = BIQUARTIC_BOUND * top * losses + freedom * noise**2
     for pose, square in zip(poses[1:], squares[1:], strict=True):
         other = Rotation.from_matrix(pose.rotation @ best.rotation.T).as_rotvec()
-        odds = 0.5 * (best.freedom + USUAL_FREEDOM) * np.log(square / squares[0])
+        odds = 0.5 * (best.freedom + freedom) * np.log(square / squares[0])
         if np.linalg.norm(other) > UNSEEN_TURN and odds < np.log(CLEAR_ODDS):
-            away = np.concatenate([other, pose.place - best.place]) / limits
-            return np.asarray(away[None] / np.linalg.norm(away))
+            away = np.concatenate([other, pose.place - best.place])[None] / limits
+            return away / np.linalg.norm(away)
     return weak
 
 
 def _result(
+    rig: Rig,
     counts: IntArray,
     status: Status,
     center: FloatArray,
@@ -376,4 +396,6 @@ def _result(
         residuals=residuals,
         method="pose",
         iterations=0 if pose is None else pose.rounds,
+        camera_names=rig.names,
+        unit=rig.unit,
     )

@@ -20,35 +20,17 @@ from sylpose.known_model.pose_noise import (
     set_noise,
     weigh,
 )
+from sylpose.known_model.pose_views import Views
 from sylpose.known_model.three_rays import three_rays
-from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.compiled import cholesky_solve, kernel, leaf, turn_by
 from sylpose.numerics.robust import BIQUARTIC_BOUND, biquartic, biquartic_loss
 
-__all__ = ["Views", "by_chance", "drawn_good", "fit", "information", "minimize", "score", "search"]
+__all__ = ["by_chance", "drawn_good", "fit", "information", "minimize", "score", "search"]
 
 
 # Rounds of re-weighting at the median's noise level (choice).
 MEDIAN_ROUNDS = 3
-
-
-class Views(NamedTuple):
-    """n matches in C cameras.
-
-    Attributes:
-        points: (n, 3) model points, relative to the model's centre.
-        images: (n, 2) where they are seen, normalised.
-        to_pixels: (n, 4) the derivative of the recorded pixel by the normalised point, row-major: lens and focal lengths.
-        start: (C + 1,) camera c has the matches start[c] to start[c + 1].
-        turns: (C, 3, 3) and shifts: (C, 3), camera_from_world.
-    """
-
-    points: FloatArray
-    images: FloatArray
-    to_pixels: FloatArray
-    start: IntArray
-    turns: FloatArray
-    shifts: FloatArray
 
 
 class Room(NamedTuple):
@@ -319,10 +301,10 @@ def fit(
             # Six unknowns have been fitted.
             variance = median / MEDIAN_SQUARE * count / max(count - 3.0, 1.0)
             for c in range(len(noise.tops)):
-                set_noise(noise, c, variance, max(2.0 * count - 6.0, 1.0), top)
+                set_noise(noise, c, variance, views.least, max(2.0 * count - 6.0, 1.0), top)
         else:
             weigh(squares, views.start, noise, weights)
-            freedom = measure_noise(squares, views.start, weights, top, noise)
+            freedom = measure_noise(squares, views.start, weights, views.least, top, noise)
             change = abs(noise.variances[0] / before - 1.0)
         if round_ > MEDIAN_ROUNDS and promised < 1e-10 and change < 1e-4:
             break

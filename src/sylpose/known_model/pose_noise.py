@@ -75,9 +75,10 @@ def weigh(squares: FloatArray, start: IntArray, noise: Noise, weights: FloatArra
 
 
 @leaf
-def set_noise(noise: Noise, c: int, variance: float, freedom: float, top: float) -> None:
-    """Camera c gets a variance, known with so many degrees of freedom, and the cutoff that goes with it."""
-    variance = max(variance, ROUNDING_PX * ROUNDING_PX)
+def set_noise(noise: Noise, c: int, variance: float, least: float, freedom: float, top: float) -> None:
+    """Camera c gets a variance, which is not less than what is believed at least, known with so many degrees of freedom, and
+    the cutoff that goes with it."""
+    variance = max(variance, least, ROUNDING_PX * ROUNDING_PX)
     # Few degrees of freedom may show far too little noise: the cutoff is then Student's, not Gauss's.
     factor = max(CUTOFF * CUTOFF, freedom * (np.exp(min(2.0 * WIDE / freedom, 50.0)) - 1.0))
     noise.variances[c] = variance
@@ -85,8 +86,13 @@ def set_noise(noise: Noise, c: int, variance: float, freedom: float, top: float)
 
 
 @kernel
-def measure_noise(squares: FloatArray, start: IntArray, weights: FloatArray, top: float, noise: Noise) -> float:
+def measure_noise(
+    squares: FloatArray, start: IntArray, weights: FloatArray, least: float, top: float, noise: Noise
+) -> float:
     """The noise from the weighted squares: one level for all cameras, its own for a camera that certainly differs.
+
+    Args:
+        least: no variance is believed to be less.
 
     Returns:
         degrees of freedom.
@@ -125,5 +131,5 @@ def measure_noise(squares: FloatArray, start: IntArray, weights: FloatArray, top
                 ratio = np.log(max(sums[c] / mine, ROUNDING_PX * ROUNDING_PX) / common)
                 own[c] = abs(ratio) > OWN_NOISE * np.sqrt(2.0 / mine + 2.0 / free)
     for c in range(n_cameras):
-        set_noise(noise, c, sums[c] / (left * counts[c]) if own[c] else common, freedom, top)
+        set_noise(noise, c, sums[c] / (left * counts[c]) if own[c] else common, least, freedom, top)
     return freedom

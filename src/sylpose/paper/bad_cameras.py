@@ -26,6 +26,7 @@ from sylpose.paper.affine_votes import FAULT, LEFT_OVER, SCALE, AffineFits, affi
 from sylpose.paper.centralized import CentralizedSolution, solve_centralized
 from sylpose.paper.orthographic import views_of
 from sylpose.results import RotationEstimate, Status
+from sylpose.told import Telling, Told
 
 __all__ = [
     "Diagnosis",
@@ -81,8 +82,8 @@ class Fault:
     text: str
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Told):
     """What the cameras' moments say of the cameras.
 
     Attributes:
@@ -102,8 +103,11 @@ class Diagnosis:
     weights: FloatArray
     faults: tuple[Fault | None, ...]
 
+    def _told(self) -> Telling:
+        return Telling(self.text)
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class RobustSolution(RotationEstimate):
     """The rotation of the cameras that can be relied upon.
 
@@ -127,6 +131,9 @@ class RobustSolution(RotationEstimate):
     def faults(self) -> tuple[Fault | None, ...]:
         """(C,) None for a camera that is not at fault."""
         return self.diagnosis.faults
+
+    def _told_besides(self) -> list[tuple[str, str]]:
+        return [("cameras", self.diagnosis.text)]
 
 
 def solve_robust(

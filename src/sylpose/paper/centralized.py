@@ -36,6 +36,7 @@ from sylpose.paper.orthographic import Views, matrices_of, quadratics_of
 from sylpose.paper.so3 import FLAT, cost_of, minimize_batch
 from sylpose.paper.surfaces import information_on_surfaces
 from sylpose.results import RotationEstimate, Status
+from sylpose.told import Telling, Told, proof_told
 
 __all__ = [
     "CentralizedBatch",
@@ -80,7 +81,7 @@ def status_of(converged: bool, certified: bool, unseen: FloatArray) -> Status:
     return Status.OK if certified else Status.NOT_CERTIFIED
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CentralizedSolution(RotationEstimate):
     """The rotation that all cameras agree on best, orthographic views.
 
@@ -115,9 +116,12 @@ class CentralizedSolution(RotationEstimate):
         """The cost at `rotation`."""
         return float(self.costs[0])
 
+    def _told_besides(self) -> list[tuple[str, str]]:
+        return [proof_told(self.certified, len(self.candidates))]
 
-@dataclass(frozen=True, eq=False)
-class CentralizedBatch:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CentralizedBatch(Told):
     """N problems' solutions in arrays: a sequence of `CentralizedSolution`, whose attributes these are. What else these have
     (status, information, unseen) is found when one of them is asked for: it takes longer than the solution.
 
@@ -145,6 +149,9 @@ class CentralizedBatch:
     def rotations(self) -> FloatArray:
         """(N, 3, 3) the best of each."""
         return self.candidates[:, 0]
+
+    def _told(self) -> Telling:
+        return Telling(f"{len(self)} problems, {int(self.certified.sum())} of them with the global optimum proved")
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -200,7 +207,7 @@ def solve_centralized_batch(rotations: ArrayLike, moments: ArrayLike, *, aim: bo
 
     Args:
         rotations: (N, C, 3, 3) Q of camera_from_world, or (C, 3, 3) where all problems have the same cameras.
-        moments: (N, C, 9, 9) matrices of pair moments; zero for a camera without matches.
+        moments: N lists of C `PairMoments`, or their matrices (N, C, 9, 9); zero for a camera without matches.
 
     Raises:
         ValueError: as `solve_centralized`; moments that are not finite or not symmetric.

@@ -86,7 +86,7 @@ _N = 3 + _OWN
 _SIGNS = 1 - 2 * np.array(list(np.ndindex(2, 2, 2)))[1:]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DepthPlaneSolution(RotationEstimate):
     """The rotation that all cameras agree on best, with what each believes of the depth that it sees.
 
@@ -113,6 +113,9 @@ class DepthPlaneSolution(RotationEstimate):
     sigma: FloatArray
     cost: float
     converged: bool
+
+    def _told_besides(self) -> list[tuple[str, str]]:
+        return [("cameras", f"{int(np.isfinite(self.sigma).sum())} of {len(self.sigma)} with matches enough")]
 
 
 class Problem(NamedTuple):

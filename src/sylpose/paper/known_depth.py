@@ -28,6 +28,7 @@ from sylpose.numerics.unseen import UNSEEN_TURN, unseen_directions
 from sylpose.paper.centralized import status_of
 from sylpose.paper.so3 import CERTIFICATE, FLAT, LEAST, Quadratic, minimize
 from sylpose.results import RotationEstimate, Status
+from sylpose.told import proof_told, vector
 
 __all__ = ["KnownDepthSolution", "solve_2d3d", "solve_3d3d"]
 
@@ -40,7 +41,7 @@ FALLEN = 16 * float(np.finfo(float).eps)
 MOST = 1e100
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class KnownDepthSolution(RotationEstimate):
     """The motion of points that are known in 3D.
 
@@ -76,6 +77,12 @@ class KnownDepthSolution(RotationEstimate):
     def translation(self) -> FloatArray:
         """(3,) t."""
         return self.center + self.displacement - self.rotation @ self.center
+
+    def _told_besides(self) -> list[tuple[str, str]]:
+        return [
+            ("displacement", f"{vector(self.displacement, 4)} of the points' centre"),
+            proof_told(self.certified, len(self.candidates)),
+        ]
 
 
 def solve_2d3d(

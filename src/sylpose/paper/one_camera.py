@@ -37,15 +37,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 from sylpose.moments import PairMoments
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.checked import kind_of
-from sylpose.numerics.matrices import checked_rotation, transpose
+from sylpose.numerics.matrices import checked_rotation, covariance_of, transpose
 from sylpose.paper.centralized import status_of, unseen_turns
 from sylpose.paper.orthographic import ROUNDING, Views, quadratic_of, views_of
 from sylpose.paper.surfaces import information_on_surfaces
 from sylpose.results import RotationEstimate, Status
+from sylpose.told import Telling, Told, turned
 
 __all__ = ["OneCameraSolution", "solve_one_camera", "solve_unconstrained"]
 
@@ -58,8 +60,8 @@ COLLINEAR = 1e-12
 STILL = 1e-15
 
 
-@dataclass(frozen=True, eq=False)
-class OneCameraSolution:
+@dataclass(frozen=True, eq=False, repr=False)
+class OneCameraSolution(Told):
     """The two rotations that one camera cannot tell apart, orthographic views: two `RotationEstimate` in one.
 
     Attributes:
@@ -99,6 +101,15 @@ class OneCameraSolution:
         guess = checked_rotation(guess, "guess")
         k = int(np.argmin(np.linalg.norm(self.rotations - guess, axis=(1, 2))))
         return RotationEstimate(self.status, self.rotations[k], self.information[k], self.unseen[k], self.iterations)
+
+    def _told(self) -> Telling:
+        status = f"{self.status.value}. {self.status.text}"
+        if not np.isfinite(self.rotations).all():
+            return Telling(self.status.value, sentence=status)
+        first, second = (Rotation.from_matrix(R) for R in self.rotations)
+        sure, mirrored = (covariance_of(information) for information in self.information)
+        rows = [("turned", turned(first, sure)), ("or, mirrored", turned(second, mirrored))]
+        return Telling(f"{self.status.value}, turned {turned(first)} or {turned(second)}", rows, status)
 
 
 def solve_one_camera(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> OneCameraSolution:

@@ -21,15 +21,12 @@ from sylpose.files import beside, output_folder, replacing, writing
 from sylpose.numerics.angles import Angles
 from sylpose.numerics.arrays import FloatArray
 from sylpose.reading import MAX_TABLE, text_of, told
+from sylpose.report.tables import COLUMNS, PER_CAMERA, POSE_COLUMNS, SD_COLUMNS, continued
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 
 __all__ = ["TrajectoryWriter", "WriterState", "read_trajectory", "read_tum", "write_trajectory", "write_tum"]
 
 
-_POSE_COLUMNS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
-_ANGLE_COLUMNS = ("pan_deg", "tilt_deg", "roll_deg")
-_SD_COLUMNS = ("rx_sd_deg", "ry_sd_deg", "rz_sd_deg", "tx_sd", "ty_sd", "tz_sd")
-_COLUMNS = ("index", "time", "status", "observable", "unit", *_POSE_COLUMNS, *_ANGLE_COLUMNS, *_SD_COLUMNS)
 _SD_TO_RADIANS = np.array([np.pi / 180] * 3 + [1.0] * 3)
 
 
@@ -95,14 +92,14 @@ class TrajectoryWriter:
         self.csv_path = folder / f"{stem}.csv"
         self._quaternion = None if resume is None else resume.quaternion
         self._last = -1  # the number of the last frame
-        per_camera = [f"{what}_{n}" for what in ("inliers", "residual_px", "doubt", "matches") for n in camera_names]
+        per_camera = [f"{what}_{n}" for what in PER_CAMERA for n in camera_names]
         own = [] if angles is None else [f"{name}_deg" for name in angles.names]
         self._tum = _open(self.tum_path, None if resume is None else resume.tum_bytes)
         try:
             self._csv = _open(self.csv_path, None if resume is None else resume.csv_bytes)
             if resume is None or not resume.csv_bytes:
                 self._put(self._tum, self.tum_path, _tum_header(unit, world))
-                self._put(self._csv, self.csv_path, _csv_line([*_COLUMNS, *own, *per_camera, "faults", "reason"]))
+                self._put(self._csv, self.csv_path, _csv_line([*COLUMNS, *own, *per_camera, "faults", "reason"]))
         except (OSError, ValueError):
             self.close()
             raise
@@ -156,7 +153,7 @@ class TrajectoryWriter:
         self._last = pose.index
         quaternion = np.full(4, np.nan)
         if pose.world_from_object is not None:
-            quaternion = _continued(pose.world_from_object.rotation.as_quat(), self._quaternion)
+            quaternion = continued(pose.world_from_object.rotation.as_quat(), self._quaternion)
             self._quaternion = quaternion
         doubt = pose.doubt if len(pose.doubt) else np.full(n, np.nan)
         cells = [str(pose.index), _exact(pose.time), pose.status.value, pose.observable.value, self.unit]
@@ -226,7 +223,7 @@ def _trajectory_in(text: str) -> Trajectory:
     rows = csv.reader(io.StringIO(text, newline=""))
     header = next(rows, [])
     known = set(header)
-    missing = [name for name in _COLUMNS if name not in known and name != "observable"]
+    missing = [name for name in COLUMNS if name not in known and name != "observable"]
     names = [name.removeprefix("inliers_") for name in header if name.startswith("inliers_")]
     missing += [f"residual_px_{name}" for name in names if f"residual_px_{name}" not in known]
     if missing:
@@ -250,11 +247,11 @@ def _frame(cells: dict[str, str], names: Sequence[str]) -> FramePose:
     def numbers(columns: Sequence[str], empty: float) -> FloatArray:
         return np.array([float(cells[c]) if cells[c] else empty for c in columns])
 
-    pose = numbers(_POSE_COLUMNS, np.nan)
+    pose = numbers(POSE_COLUMNS, np.nan)
     world_from_object = None
     if not np.isnan(pose).all():
         world_from_object = _transforms(pose[None])[0]
-    sigma = numbers(_SD_COLUMNS, np.inf) * _SD_TO_RADIANS
+    sigma = numbers(SD_COLUMNS, np.inf) * _SD_TO_RADIANS
     # Up to 0.1.0 what can be observed stood in the place of the status.
     status_only = cells["status"] != Observable.NO_SCALE.value
     status = FrameStatus(cells["status"]) if status_only else FrameStatus.TRACKED
@@ -323,7 +320,7 @@ def write_tum(path: Path | str, times: ArrayLike, world_from_object: RigidTransf
     lines = [_tum_header(unit)]
     quaternion: FloatArray | None = None
     for time, position, q in zip(times, positions, quaternions, strict=True):
-        quaternion = _continued(q, quaternion)
+        quaternion = continued(q, quaternion)
         lines.append(_tum_line(time, position, quaternion))
     with replacing(path) as part:
         part.write_text("".join(lines), encoding="utf-8")
@@ -358,12 +355,6 @@ def _transforms(rows: FloatArray) -> RigidTransform:
     if not np.isfinite(rows).all() or (np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1) > 1e-3).any():
         raise ValueError("a pose needs a finite position and a unit quaternion")
     return RigidTransform.from_components(rows[:, :3], Rotation.from_quat(rows[:, 3:]))
-
-
-def _continued(quaternion: FloatArray, before: FloatArray | None) -> FloatArray:
-    """The sign nearer to the frame before; at the start the one with w >= 0."""
-    reference = np.array([0.0, 0.0, 0.0, 1.0]) if before is None else before
-    return -quaternion if quaternion @ reference < 0 else quaternion
 
 
 def _tum_header(unit: str, world: str = "world") -> str:

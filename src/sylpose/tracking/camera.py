@@ -7,7 +7,7 @@ cameras. What it finds is its own; what it tells the others of it are `records`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -17,7 +17,7 @@ from sylpose.features.sift import ALL_FEATURES, MAX_FEATURES, Features, detect, 
 from sylpose.landmarks.places import Landmarks, learn_landmarks
 from sylpose.landmarks.table import LandmarkTable
 from sylpose.matches import STILL_PX
-from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.numerics.arrays import BoolArray, FloatArray, Image
 from sylpose.rig import Camera
 from sylpose.tracking.anchor import CameraAnchor, Followed, Renewal, begin_anchor, follow, gone_on
 from sylpose.tracking.frame import (
@@ -25,25 +25,19 @@ from sylpose.tracking.frame import (
     Pair,
     SolvedFrame,
     Sought,
-    away,
-    inliers_of,
     learn_background,
     match_pair,
     pair_near,
     standing,
 )
 from sylpose.tracking.region import polygon_mask
+from sylpose.tracking.seen_again import KNOWN_DEPTH, SeenAgain
 from sylpose.tracking.watch import View, Watch
 
-__all__ = ["CameraPart", "SeenAgain", "have_moved", "still_of"]
+__all__ = ["CameraPart", "still_of"]
 
-# Landmarks whose depth is known to this share of the object's radius show where its surface is (choice).
-KNOWN_DEPTH = 0.1
 # So many of them show it better than what the boxes allow (choice).
 MIN_SURFACE = 20
-# A landmark has moved with the object where the pose leaves no more than this share of the way from where it was first seen
-# unexplained (choice).
-CLEARLY = 0.5
 # What is displaced by so many standard deviations of a camera's keypoints has moved; no camera is taken to be worse than
 # this, pixels (choice).
 STILL_SIGMAS, MOST_STILL_PX = 5.0, 6.0
@@ -53,80 +47,13 @@ MOST_SURROUNDINGS = 8000
 NOISE_MEMORY = 5
 # Where what is found is found by chance: beside where it should be, in reaches (choice).
 BESIDE = ((6.0, 0.0), (0.0, 6.0), (-6.0, 0.0), (0.0, -6.0))
+# Images with more pixels than Full HD are made smaller where all of them is searched: what is found there is looked at anew
+# in full (choice).
+SEARCH_PIXELS = 1920 * 1080
+# Around the object's outline its surroundings are looked at up to so many times its size (choice).
+SURROUNDINGS = 2.0
 # A feature this near to one that is known, pixels, is the same (choice).
 KNOWN_PLACE_PX = 1.5
-
-
-@dataclass(frozen=True, eq=False)
-class SeenAgain:
-    """The features of one camera's frame that were seen before.
-
-    Attributes:
-        inliers: the matches with earlier frames that say so.
-        index: (k,) into the frame's features.
-        known: (k) what is known of each, the best of the landmarks that it is matched with.
-        surface: (m, 3) places of those that are known well enough to tell where the object's surface is.
-    """
-
-    inliers: Sequence[Pair]
-    index: IntArray
-    known: Landmarks
-    surface: FloatArray
-
-    @classmethod
-    def none(cls) -> SeenAgain:
-        """Nothing: all features are new."""
-        return cls([], np.empty(0, np.int64), Landmarks.none(), np.empty((0, 3)))
-
-    @classmethod
-    def of(
-        cls, pairs: Sequence[Pair], agreement: Sequence[tuple[FloatArray, FloatArray]], still_px: float, radius: float
-    ) -> SeenAgain:
-        """What a frame's matches say, of which some agree with its pose.
-
-        A landmark has moved if any that its feature is matched with has, or does so now: it is where the pose says, and
-        that is far from where it was first seen.
-
-        Args:
-            agreement: weights and residuals, pixels, (n,) of each pair.
-            still_px: what is less far may stand still.
-        """
-        inliers = inliers_of(pairs, [w for w, _ in agreement])
-        if not inliers:
-            return cls.none()
-        known = Landmarks.concatenate([pair.landmarks for pair in inliers])
-        index, sd = np.concatenate([pair.indices[:, 1] for pair in inliers]), known.depth_sd
-        # Of landmarks that are known alike, the oldest: rounding must not decide, which is another one elsewhere.
-        order = np.lexsort((known.id, sd.astype(np.float32), index))
-        _, first = np.unique(index[order], return_index=True)
-        pick = order[first]
-        moved = have_moved(inliers, known, agreement, still_px)
-        ever = np.zeros(int(index.max()) + 1, bool)
-        np.logical_or.at(ever, index, moved)
-        # Where it was first seen is a matter of all that its feature is matched with: of the oldest.
-        best = replace(known.subset(pick), moved=ever[index[pick]], origin=_oldest_origin(index, known)[index[pick]])
-        return cls(inliers, index[pick], best, best.mean[sd[pick] < KNOWN_DEPTH * radius])
-
-
-def have_moved(
-    inliers: Sequence[Pair], known: Landmarks, agreement: Sequence[tuple[FloatArray, FloatArray]], still_px: float
-) -> BoolArray:
-    """(n,) which of the matches that agree with a frame's pose are known to be no background: whose landmark, `known` (n),
-    has moved before, or does so now.
-
-    Args: the rest as in `SeenAgain.of`.
-    """
-    residual = np.concatenate([np.empty(0), *(np.abs(r[w > 0]) for w, r in agreement)])
-    far = away(known, np.concatenate([np.empty((0, 2)), *(pair.pixels_j for pair in inliers)]))
-    return np.asarray(known.moved | ((far > still_px) & (residual < CLEARLY * far)))
-
-
-def _oldest_origin(index: IntArray, known: Landmarks) -> FloatArray:
-    """(m, 2) by feature, where the landmark with the lowest number was first seen that it (n,) is matched with."""
-    origin = np.zeros((int(index.max()) + 1, 2))
-    order = np.argsort(-known.id, kind="stable")
-    origin[index[order]] = known.origin[order]
-    return origin
 
 
 def still_of(noise_px: float) -> float:
@@ -178,15 +105,61 @@ class CameraPart:
         most: int = MAX_FEATURES,
         *,
         faint: bool = False,
+        reduced: bool = False,
     ) -> Features:
         """The features of an image, inside an area (h, w; None: everywhere) and the object's mask; the `most` strongest, or
-        with `faint` all."""
+        with `faint` all. `reduced`: of a large area made smaller."""
         if image is None:
             return Features.none()
         if where is None:
             where = np.ones(self.camera.size[::-1], bool)
         where = where if mask is None else where & mask
-        return detect(image, self.camera, where, ALL_FEATURES if faint else most, faint=faint)
+        most = ALL_FEATURES if faint else most
+        return detect(image, self.camera, where, most, faint=faint, max_pixels=SEARCH_PIXELS if reduced else None)
+
+    @property
+    def is_large(self) -> bool:
+        """Whether its images are searched reduced."""
+        width, height = self.camera.size
+        return width * height > SEARCH_PIXELS
+
+    def closer(
+        self, image: Image | None, mask: BoolArray | None, features: Features, region: FloatArray | None, *, faint: bool
+    ) -> Features:
+        """The features inside a region's outline (k, 2), by those of a search of the whole image: where that was reduced,
+        all that its own pixels show there."""
+        if image is None or not self.is_large:
+            return features.subset(self.inside(features, region))
+        return self.detect(image, mask, polygon_mask(region, self.camera.size), faint=faint)
+
+    def told_apart(
+        self,
+        image: Image | None,
+        mask: BoolArray | None,
+        features: Features,
+        region: FloatArray | None,
+        stood: BoolArray,
+    ) -> tuple[Features, Features]:
+        """Those of the features of a whole image that may be the object's, inside a region's outline (k, 2), and the others:
+        those outside, and those of which it is known that they `stood` (n,)."""
+        mine = self.inside(features, region) & ~stood
+        if image is None or not self.is_large:
+            return features.subset(mine), features.subset(~mine)
+        found = self.closer(image, mask, features, region, faint=False)
+        still = seen_before(found, features.subset(stood), self.still_px)
+        return found.subset(~still), Features.concatenate([features.subset(~mine), found.subset(still)])
+
+    def around(
+        self, image: Image | None, mask: BoolArray | None, region: FloatArray | None, *, faint: bool
+    ) -> Features:
+        """The features outside a region's outline (k, 2); of large images in full where they are near to it."""
+        where = ~polygon_mask(region, self.camera.size)
+        found = self.detect(image, mask, where, faint=faint, reduced=True)
+        if region is None or not self.is_large:
+            return found
+        middle = region.mean(axis=0)
+        near = where & polygon_mask(middle + SURROUNDINGS * (region - middle), self.camera.size)
+        return Features.concatenate([found, self.detect(image, mask, near, faint=faint, reduced=True)])
 
     def inside(self, features: Features, region: FloatArray | None) -> BoolArray:
         """(n,) which features are inside a region's outline (k, 2)."""

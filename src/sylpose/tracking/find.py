@@ -23,7 +23,6 @@ from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.anchor import FEATURES as ANCHOR_FEATURES
 from sylpose.tracking.anchor import SOON, Followed, suffices, with_new
-from sylpose.tracking.camera import have_moved
 from sylpose.tracking.crew import Crew
 from sylpose.tracking.frame import CameraFrame, Frame, Pair, Sought, inliers_of, sought_in, still, without_background
 from sylpose.tracking.frame_solvers import Agreement, Problem, Solution
@@ -31,6 +30,7 @@ from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import references_of, viewpoints
 from sylpose.tracking.records import Ages, Agreed, Following, Recognised
 from sylpose.tracking.relocalise import LOOSE_RATIO, RATIO, pose_of, recognised, to_try
+from sylpose.tracking.seen_again import have_moved
 from sylpose.tracking.team import Region, Team
 from sylpose.two_frames.motion import motion_about
 

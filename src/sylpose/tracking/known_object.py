@@ -15,6 +15,7 @@ from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.checked import finite, kind_of, number
 from sylpose.reading import one_line
 from sylpose.rig import MAX_LENGTH, Rig, single_pose
+from sylpose.told import Telling, Told, length, named
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.joint import Joint
@@ -62,8 +63,8 @@ class ObjectFrame:
     said: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class KnownObject:
+@dataclass(frozen=True, eq=False, repr=False)
+class KnownObject(Told):
     """An object as a take has learnt it (object.npz, `load_object`), for another one to begin with.
 
     Landmarks and keyframes stay in the frame that it was learnt in, whose origin is in the object's middle: there the
@@ -173,6 +174,13 @@ class KnownObject:
             ),
             scale_sd=sd,
         )
+
+    def _told(self) -> Telling:
+        brief = (
+            f"radius {length(self.radius, self.unit)}, {len(self.places)} landmarks, {len(self._keyframes)} keyframes"
+        )
+        cameras = [(name, f"{len(memory.landmarks.mean)} landmarks") for name, memory in self._cameras.items()]
+        return Telling(brief, named(cameras))
 
 
 def learnt_of(

@@ -14,12 +14,12 @@ from sylpose.matches import STILL_PX
 from sylpose.numerics.arrays import FloatArray
 from sylpose.results import FramePose, FrameStatus, Observable, Status
 from sylpose.tracking.anchor import Anchor
-from sylpose.tracking.camera import SeenAgain
 from sylpose.tracking.find import Found, on_the_move
 from sylpose.tracking.frame import Frame, Pair, SolvedFrame, Sought, learn_only, sought_in, triangulate
 from sylpose.tracking.joint import Joint, covariance_with_references
 from sylpose.tracking.keyframes import viewpoints
 from sylpose.tracking.records import placed, total_ages
+from sylpose.tracking.seen_again import SeenAgain
 from sylpose.tracking.sights import usual_age
 from sylpose.tracking.start import FirstMotion, agree, first_motion
 from sylpose.tracking.team import Region, Team

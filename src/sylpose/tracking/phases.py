@@ -65,6 +65,8 @@ AMBIGUOUS = (
 # Where boxes have fewer features than this in their middle, in the mean over the cameras, faint ones are asked for as well:
 # at the rim most may be background (choice).
 FEW_AT_FIRST = 40
+# In every so manyth frame large images are searched in full for what was lost: it may be small (choice).
+IN_FULL = 4
 # Features per camera while the object may be anywhere in the image (choice).
 START_FEATURES = 4000
 
@@ -206,10 +208,12 @@ def _found_thoroughly(
 
 def _found_anywhere(team: Team, joint: Joint, number: int, frames: FrameSet) -> tuple[Joint, Found | None]:
     """The frame's pose, wherever the object is in the images: by the strongest features, or by all."""
+    reduced = (joint.missed + 1) % IN_FULL != 0
     for faint in (False, True):
-        features = team.detect(frames, None, MAX_FEATURES, faint=faint)
+        features = team.detect(frames, None, MAX_FEATURES, faint=faint, reduced=reduced)
         pose = recognised_anywhere(team, joint, team.frame(number, frames, features), faint=faint)
         if pose is not None:
+            features = team.closer(frames, features, regions_of(team, joint, pose), faint=faint)
             joint, found = _confirmed(team, joint, number, frames, features, pose)
             # Where it was seen, but not well enough, it is waited for.
             if found is not None or joint.seen_again:
@@ -250,16 +254,13 @@ def start(
         joint = replace(joint, starves=middle < FEW_AT_FIRST * len(team.rig))
         seen = team.detect(frames, regions, faint=True) if joint.starves else features
         if sum(team.crew.ask(lambda c: len(seen[c]), 0)) < MIN_MATCHES:
-            return (
-                joint,
-                [],
-                [unsolved_frame(team, frames, FrameStatus.TOO_FEW_MATCHES, looks(team, seen), regions, model.radius)],
-            )
-        around = team.detect(frames, regions, MAX_FEATURES, around=True, faint=joint.starves)
+            look = looks(team, seen)
+            return joint, [], [unsolved_frame(team, frames, FrameStatus.TOO_FEW_MATCHES, look, regions, model.radius)]
+        around = team.around(frames, regions, faint=joint.starves)
         frame = team.frame(number, frames, seen)
         joint, first = accept_first(team, joint, frames, frame, around, model.center, regions)
         return joint, [], [first]
-    features = team.detect(frames, None, START_FEATURES)
+    features = team.detect(frames, None, START_FEATURES, reduced=True)
     if not waiting and sum(team.crew.ask(lambda c: len(features[c]), 0)) < MIN_MATCHES:
         # Later ones need something to be compared with.
         return joint, [], [unsolved_frame(team, frames, FrameStatus.TOO_FEW_MATCHES, looks(team, features))]
@@ -355,8 +356,7 @@ def _begun(
         for pair in pairs[c]:
             still = standing(pair, part.frame(Features.none()), part.camera, before, now, found.radius)
             stood[pair.indices[still, 0]] = True
-        mine = part.inside(features, regions[c]) & ~stood
-        return features.subset(mine), features.subset(~mine)
+        return part.told_apart(first_frames.images[c], first_frames.masks[c], features, regions[c], stood)
 
     apart = crew.each(told_apart)
     inside, around = crew.each(lambda c: apart[c][0]), crew.each(lambda c: apart[c][1])
@@ -392,7 +392,7 @@ def _solved_later(team: Team, joint: Joint, waited: Waiting, pose: RigidTransfor
     """A frame that has waited, from a guess of its pose (world_from_object). It was searched everywhere: what was at rest
     with the object would seem to belong to it."""
     regions = regions_of(team, joint, pose)
-    inside, _ = split(team, features_of(team, waited.frame.cameras), regions)
+    inside = team.closer(waited.frames, features_of(team, waited.frame.cameras), regions)
     joint, found = _found(team, joint, team.frame(waited.frame.number, waited.frames, inside), pose, regions)
     if found is None:
         return not_found(team, joint, waited.frames, pose, regions)

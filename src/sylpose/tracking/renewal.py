@@ -30,12 +30,13 @@ from sylpose.tracking.anchor import (
     some_of,
     with_new,
 )
-from sylpose.tracking.camera import CameraPart, SeenAgain
+from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.find import KLT_FEATURES, Found
 from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, match_pair, without_background
 from sylpose.tracking.joint import Joint
 from sylpose.tracking.keyframes import references_of, with_keyframe
 from sylpose.tracking.region import polygon_mask
+from sylpose.tracking.seen_again import SeenAgain
 from sylpose.tracking.sights import cut, sights_of
 from sylpose.tracking.team import Region, Team
 

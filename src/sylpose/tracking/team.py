@@ -63,19 +63,33 @@ class Team:
         regions: Sequence[Region] | None,
         most: int = MAX_FEATURES,
         *,
-        around: bool = False,
         faint: bool = False,
+        reduced: bool = False,
     ) -> list[Features]:
-        """By camera, each its own: the features inside the object's regions, or around them; None: anywhere. With `faint`
-        all that there are."""
+        """By camera, each its own: the features inside the object's regions; None: anywhere. With `faint` all that there
+        are, with `reduced` of large images made smaller."""
 
         def of(c: int) -> Features:
-            where = None
-            if regions is not None:
-                where = polygon_mask(regions[c], self.rig.cameras[c].size) ^ around
-            return self.parts[c].detect(frames.images[c], frames.masks[c], where, most, faint=faint)
+            where = None if regions is None else polygon_mask(regions[c], self.rig.cameras[c].size)
+            return self.parts[c].detect(frames.images[c], frames.masks[c], where, most, faint=faint, reduced=reduced)
 
         return self.crew.each(of, long=True)
+
+    def around(self, frames: FrameSet, regions: Sequence[Region], *, faint: bool) -> list[Features]:
+        """By camera, each its own: the features around the object's regions."""
+        return self.crew.each(
+            lambda c: self.parts[c].around(frames.images[c], frames.masks[c], regions[c], faint=faint), long=True
+        )
+
+    def closer(
+        self, frames: FrameSet, features: Sequence[Features], regions: Sequence[Region], *, faint: bool = False
+    ) -> list[Features]:
+        """By camera, each its own: the features inside the object's regions, by those of whole images that were searched
+        reduced. See `CameraPart.closer`."""
+        return self.crew.each(
+            lambda c: self.parts[c].closer(frames.images[c], frames.masks[c], features[c], regions[c], faint=faint),
+            long=any(part.is_large for part in self.parts),
+        )
 
     def radius_px(self, joint: Joint, c: int, world_from_object: RigidTransform) -> float:
         """The object's radius in a camera's image at a pose, pixels."""

@@ -52,12 +52,13 @@ class Bodies(NamedTuple):
     share: float
 
 
-def larger_body(data: Sequence[TermData], solved: Solved, solve: Solve) -> Bodies:
+def larger_body(data: Sequence[TermData], solved: Solved, solve: Solve, least_px: float = 0.0) -> Bodies:
     """The solution, or that of a larger body that it left over.
 
     Args:
         data: the terms of the solution, all in one reference frame.
         solve: solves a part of them.
+        least_px: noise that is believed at least, pixels.
     """
     inliers = [w > 0 for w in solved.fit.weights]
     if sum(len(t) for t in data) < (1.0 + LEFT_OVER) * _count(inliers):
@@ -87,13 +88,14 @@ def larger_body(data: Sequence[TermData], solved: Solved, solve: Solve) -> Bodie
     larger, smaller = (first, second) if counts[0] >= counts[1] else (second, first)
     # About the same centre: both were solved for a place of their own.
     shift = smaller.fit.shift + (smaller.fit.rotation - np.eye(3)) @ (larger.center - smaller.center)
-    between = fit_apart(data, larger.center, larger.radius, larger.fit, replace(smaller.fit, shift=shift))
+    other = replace(smaller.fit, shift=shift)
+    between = fit_apart(data, larger.center, larger.radius, larger.fit, other, least_px)
     share = min(counts) / max(counts)
     if between is not None and between[0].status is Status.OK and not between[0].mixed:
         larger, having = larger._replace(fit=between[0]), between[1]
         share = float(having[1].sum() / having[0].sum())
         # What is at fault with a camera it has of all matches.
-        body = (having.min(axis=0) > OF_BOTH * having.sum(axis=0)).sum() >= min(2, len(data))
+        body = int((having.min(axis=0) > OF_BOTH * having.sum(axis=0)).sum()) >= min(2, len(data))
     else:
         body = _count(left) > A_BODY * _count(inliers)
     if not body or share < A_BODY:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +18,7 @@ from sylpose.numerics.checked import finite, items, kind_of, listed, number, one
 from sylpose.numerics.compiled import kernel
 from sylpose.numerics.copies import distinct
 from sylpose.numerics.matrices import covariance_of, forget
+from sylpose.numerics.noise import NoiseUnits, noise_units
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig, single_pose
 from sylpose.two_frames.bodies import larger_body
@@ -44,6 +46,7 @@ def estimate_motion(
     initial: RigidTransform | None = None,
     center: ArrayLike | None = None,
     radius: float | None = None,
+    noise_px: ArrayLike | None = None,
     seed: int = 0,
 ) -> Motion:
     """The object's motion between two frames from matches within each camera.
@@ -60,6 +63,10 @@ def estimate_motion(
         center: (3,) where the object's centre is in frame i, world; None: the point nearest to the cameras' mean rays.
         radius: of the object, length units, about right (twice the median distance of its points from the centre); None:
             from the spread of the matches.
+        noise_px: (C,) what is known of the keypoints' noise in each camera: the standard deviation of a coordinate, pixels.
+            The cameras count accordingly, what is far in pixels is so in proportion, and no less noise is believed; where
+            the matches show more, more is. Infinite: the camera has no say. Of the paper's estimators it decides which
+            matches are inliers, no more. None: the matches alone tell.
         seed: of the outlier rejection. Same input and seed, same result.
 
     Returns:
@@ -68,7 +75,8 @@ def estimate_motion(
 
     Raises:
         ValueError: as many matches as cameras are needed; an unknown method; a center that is not finite or behind a camera
-            that has matches; a radius that is not positive.
+            that has matches; a radius that is not positive; noise
+            of other cameras, or that none has.
 
     Source: Chen & Schonfeld 2010 for the paper's estimators; docs/method.md for the rest.
     """
@@ -81,19 +89,22 @@ def estimate_motion(
         single_pose(initial, "initial")
     if center is not None:
         center = finite(center, (3,), "center")
+    units = NoiseUnits(np.ones(len(rig)), 0.0) if noise_px is None else noise_units(noise_px, len(rig))
     singles = [distinct(m.x, m.y) for m in matches]
     if any(single is not None for single in singles):
         once = [m if s is None else Matches(m.x[s.rows], m.y[s.rows]) for m, s in zip(matches, singles, strict=True)]
-        found = estimate_motion(rig, once, method=method, initial=initial, center=center, radius=radius, seed=seed)
+        options: dict[str, Any] = {"initial": initial, "center": center, "radius": radius, "noise_px": noise_px}
+        found = estimate_motion(rig, once, method=method, seed=seed, **options)
         masks = zip(found.inliers, singles, strict=True)
         return replace(found, inliers=tuple(mask if s is None else mask[s.which] for mask, s in masks))
     data = [
-        TermData(c, m.x, m.y, camera.rotation, camera.center, camera.focal)
-        for c, (camera, m) in enumerate(zip(rig, matches, strict=True))
-        if len(m)
+        TermData(c, m.x, m.y, camera.rotation, camera.center, camera.focal * per_px)
+        for c, (camera, m, per_px) in enumerate(zip(rig, matches, units.per_px.tolist(), strict=True))
+        if len(m) and per_px > 0.0
     ]
     if sum(len(term) for term in data) < MIN_MATCHES:
-        return _motion(rig, matches, data, no_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), method, 1.0)
+        nowhere = np.full(3, np.nan)
+        return _motion(rig, matches, data, no_fit(data, Status.TOO_FEW_MATCHES), nowhere, method, 1.0, units.per_px)
     given = None if center is None else _place(np.asarray(center), rig, data)
     rng = Seeded(seed)
 
@@ -106,26 +117,34 @@ def estimate_motion(
             turn = near.fit.rotation
             guess.append((turn, near.fit.shift + (turn - np.eye(3)) @ (g - near.center)))
         size = found_radius if radius is None else radius
-        return Solved(fit_terms(terms, g, size, guess, rng, joined), g, size)
+        return Solved(fit_terms(terms, g, size, guess, rng, joined, units.least), g, size)
 
-    solved, share = larger_body(data, solve(data), solve)
+    solved, share = larger_body(data, solve(data), solve, units.least)
     if share == 0.0 and solved.fit.status is not Status.TOO_FEW_MATCHES:
         solved = without_faults(data, solved, rig.names, solve)
     fit, g, size = solved
     if method in ESTIMATORS and fit.status is Status.OK:
         fit = paper_fit(method, data, fit, g, rig.names)
-    return _motion(rig, matches, data, fit, g, method, size, share)
+    # One camera alone does not tell how far away the object is, unless somebody says so.
+    unit = rig.unit if given is not None or len(data) > 1 else ""
+    return _motion(rig, matches, data, fit, g, method, size, units.per_px, share, unit)
 
 
 def estimate_motions(
-    rig: Rig, pairs: Iterable[Sequence[Matches]], *, method: str = "epipolar", seed: int = 0, threads: int = 1
+    rig: Rig,
+    pairs: Iterable[Sequence[Matches]],
+    *,
+    method: str = "epipolar",
+    noise_px: ArrayLike | None = None,
+    seed: int = 0,
+    threads: int = 1,
 ) -> list[Motion]:
     """The motions of many frame pairs of one rig.
 
     Args:
         rig: C cameras.
         pairs: for each frame pair its C sets of matches, as `estimate_motion` takes them.
-        method, seed: as in `estimate_motion`; every pair has the same seed.
+        method, noise_px, seed: as in `estimate_motion`; every pair has the same.
         threads: the compiled part of the work, two thirds of it, runs beside that of other pairs.
 
     Returns:
@@ -141,7 +160,7 @@ def estimate_motions(
     ]
 
     def one(matches: Sequence[Matches]) -> Motion:
-        return estimate_motion(rig, matches, method=method, seed=seed)
+        return estimate_motion(rig, matches, method=method, noise_px=noise_px, seed=seed)
 
     if threads == 1:
         return [one(matches) for matches in sets]
@@ -165,13 +184,15 @@ def _motion(
     center: FloatArray,
     method: str,
     radius: float,
+    per_px: FloatArray,
     second: float = 0.0,
+    unit: str = "",
 ) -> Motion:
     """The public result of a fit, with what cannot be observed said."""
     inliers = [np.zeros(len(m), bool) for m in matches]
     residuals = np.full(len(rig), np.nan)
     for term, w, r in zip(data, fit.weights, fit.residuals, strict=True):
-        residuals[term.camera] = _rms(w, r, inliers[term.camera])
+        residuals[term.camera] = _rms(w, r, inliers[term.camera]) / float(per_px[term.camera])
     fit, open_ = judged(fit, radius)
     guess = fit.status.has_pose or len(open_) > 0
     if fit.status.has_pose and fit.status is not Status.NO_MOTION and (fit.mixed or fit.other is not None):
@@ -196,6 +217,8 @@ def _motion(
         rival=motion_about(center, *fit.other) if fit.status is Status.AMBIGUOUS and fit.other is not None else None,
         second=second,
         standing=fit.standing,
+        camera_names=rig.names,
+        unit=unit,
     )
 
 

@@ -22,8 +22,8 @@ from sylpose.two_frames.reweight import SIGMA_FLOOR_PX, Reweighted, nothing_yet,
 from sylpose.two_frames.rivals import LESS_LIKELY, second_planes, strongest_rival, together
 from sylpose.two_frames.robust_fit import Settled, Uniform, fitted
 from sylpose.two_frames.standing import LARGER, LIKELIER, hidden, parted, some_move
-from sylpose.two_frames.terms import Joined, Stack, TermData, copy_into, guesses_of, stack_terms
-from sylpose.two_frames.valley import bend, less_certain
+from sylpose.two_frames.terms import Candidate, Joined, Stack, TermData, copy_into, guesses_of, stack_terms
+from sylpose.two_frames.valley import bend, far_along, less_certain, taken_in
 from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
 
 __all__ = ["FAR_PX", "fit_apart", "fit_terms"]
@@ -38,6 +38,10 @@ CONVERGED = 0.5
 DOUBT = 0.5
 # Where a motion may be larger by this factor, most of the matches standing still, it is not known (choice).
 HARDLY = 3.0
+# With fewer inliers, or where it is hardly seen, a motion has to lead to itself (choice).
+FEW_INLIERS = 50
+# Second planes of flat objects are told apart by more cameras than this (choice).
+FEW_CAMERAS = 3
 
 
 def fit_terms(
@@ -47,6 +51,7 @@ def fit_terms(
     guesses: Sequence[Hypothesis],
     rng: Uniform,
     joined: Joined | None = None,
+    least_px: float = 0.0,
 ) -> Fit:
     """One robust motion for all terms: per-term RANSAC, minima from several starts, re-weighting.
 
@@ -57,10 +62,11 @@ def fit_terms(
         guesses: (R, d) tried as starts besides the built-in ones.
         rng: seeded.
         joined: the terms, where that has been done.
+        least_px: noise that is believed at least, pixels.
     """
     if sum(len(term) for term in data) < MIN_MATCHES:
         return no_fit(data, Status.TOO_FEW_MATCHES)
-    stack = stack_terms(data, center, radius, joined)
+    stack = stack_terms(data, center, radius, joined, least_px)
     usable = np.ones(len(stack.x), dtype=bool)
     _not_background(stack, usable)
     found, minima, iterations, promise = fitted(stack, usable, guesses_of(guesses), rng)
@@ -68,7 +74,7 @@ def fit_terms(
     checks = check(stack, usable, found, every, radius, minima.costs, minima.inliers)
     planes = second_planes(stack, found) if checks.close else []
     if planes:
-        again = fitted(stack, usable, guesses_of([*guesses, *planes]), rng)
+        again = fitted(stack, usable, guesses_of([*guesses, *((R, d) for R, d, _ in planes)]), rng)
         iterations += again[2]
         minima, best = together(minima, again[1]), again[1].costs.min() < minima.costs.min()
         found, promise = (again[0], again[3]) if best else (found, promise)
@@ -102,15 +108,15 @@ def _all_stand(stack: Stack, usable: BoolArray, one: Reweighted) -> bool:
 
 
 def fit_apart(
-    data: Sequence[TermData], center: FloatArray, radius: float, first: Fit, second: Fit
+    data: Sequence[TermData], center: FloatArray, radius: float, first: Fit, second: Fit, least_px: float = 0.0
 ) -> tuple[Fit, FloatArray] | None:
     """The first of two motions of the same terms, about the same centre, it not being certain which match has which; and
     (2, T) how many matches of each term have the one and the other. None where they do not settle.
 
     Args:
-        data, center, radius: as `fit_terms` takes them.
+        data, center, radius, least_px: as `fit_terms` takes them.
     """
-    stack = stack_terms(data, center, radius)
+    stack = stack_terms(data, center, radius, least_px=least_px)
     fits = (first, second)
     both = apart(stack, [(f.rotation, f.shift) for f in fits], [np.concatenate(f.weights) > 0 for f in fits])
     counts = both.having.sum(axis=1)
@@ -168,13 +174,26 @@ def _answer(
         information, without_depth = less_certain(information, bent), less_certain(without_depth, bent)
         still = stands_still(stack, found, information)
     other = None
+    doubtful = (checks.bent or checks.inliers < FEW_INLIERS) and not checks.parted
     if still:
         if some_move(stack, usable, found) or strongest_rival(found, minima, information, radius) is not None:
             return no_fit(data, Status.MOSTLY_STILL)
         status, rotation, shift, larger = Status.NO_MOTION, np.eye(3), np.zeros(3), LARGER[-1]
     elif larger >= HARDLY:
         return no_fit(data, Status.MOSTLY_STILL)
-    elif rod is None and checks.rivalled:
+    elif rod is None:
+        for step, dearer in far_along(stack, having, found, radius, float(minima.costs.min())) if doubtful else []:
+            column = taken_in(information, step, dearer)
+            information, without_depth = less_certain(information, column), less_certain(without_depth, column)
+        if doubtful:
+            again = _led_to(stack, having, found, Candidate(rotation, shift, stack.surface_mean))
+            if not np.isfinite(again.costs).all():
+                return no_fit(data, Status.NOT_CONVERGED)
+            # What a motion leads to is as likely as itself.
+            minima = together(minima, again._replace(costs=minima.costs.min(keepdims=True)))
+        if len(data) <= FEW_CAMERAS and not checks.parted:
+            for start in second_planes(stack, found):
+                minima = together(minima, _led_to(stack, having, found, start))
         rival = strongest_rival(found, minima, information, radius)
         if rival is not None and rival.far:
             other = (rival.rotation, rival.shift)
@@ -223,6 +242,16 @@ def _least_turned(
     again.candidate.rotation[:] = (about.inv() * turn).as_matrix()
     _, promise, cost_again = reweight(stack, usable, again, SIGMA_FLOOR_PX)
     return (again, float(promise)) if cost_again < cost + LESS_LIKELY else None
+
+
+def _led_to(stack: Stack, having: FloatArray, found: Reweighted, start: Candidate) -> Settled:
+    """Where a start leads to with the noise that was found, and all else as it is believed before anything is measured."""
+    again = nothing_yet(stack)
+    copy_into(again.candidate, start)
+    again.sigma_px[:] = found.sigma_px
+    _, _, cost = reweight(stack, having, again, SIGMA_FLOOR_PX)
+    rotation, shift = again.candidate.rotation[None], again.candidate.shift[None]
+    return Settled(rotation, shift, np.array([cost]), np.array([float((again.weights > 0.0).sum())]))
 
 
 @kernel

@@ -138,6 +138,7 @@ class Stack(NamedTuple):
         relief: (T,) prior standard deviation of the inverse depth about that surface, in units of g's.
         plane_mean, plane_sd: (T, 3), plane_relief: (T,) the same of a plane, for a first look.
         focal: (T,) pixels per normalised unit.
+        least_px: noise that is believed at least, pixels.
     """
 
     x: FloatArray
@@ -158,6 +159,7 @@ class Stack(NamedTuple):
     plane_sd: FloatArray
     plane_relief: FloatArray
     focal: FloatArray
+    least_px: float
 
 
 class Candidate(NamedTuple):
@@ -250,19 +252,22 @@ def join(data: Sequence[TermData]) -> Joined:
     return Joined(x, y, offsets, *turns, cx.reshape(-1, 3), cy.reshape(-1, 3), focal)
 
 
-def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float, joined: Joined | None = None) -> Stack:
+def stack_terms(
+    data: Sequence[TermData], center: FloatArray, radius: float, joined: Joined | None = None, least_px: float = 0.0
+) -> Stack:
     """Stack terms, each with a match at least.
 
     Args:
         center: (3,) g.
         radius: of the object, length units.
         joined: the terms, where that has been done.
+        least_px: noise that is believed at least, pixels.
     """
-    return _laid_out(join(data) if joined is None else joined, center, float(radius))
+    return _laid_out(join(data) if joined is None else joined, center, float(radius), float(least_px))
 
 
 @kernel
-def _laid_out(joined: Joined, center: FloatArray, radius: float) -> Stack:
+def _laid_out(joined: Joined, center: FloatArray, radius: float, least_px: float) -> Stack:
     """About g, with what is believed of the surfaces."""
     n = len(joined.focal)
     stack = Stack(
@@ -284,6 +289,7 @@ def _laid_out(joined: Joined, center: FloatArray, radius: float) -> Stack:
         np.empty((n, 3)),
         np.empty(n),
         joined.focal,
+        least_px,
     )
     _believe(stack, radius)
     return stack

@@ -31,6 +31,7 @@ from sylpose.paper.distributed.verdict import UNKNOWN, Verdict
 from sylpose.paper.orthographic import quadratic_of, views_of
 from sylpose.paper.so3 import is_certified
 from sylpose.results import RotationEstimate, Status
+from sylpose.told import proof_told
 
 __all__ = ["Agreement", "Disturbances", "Nonsense", "run", "solve_exchange", "solve_gossip", "solve_refine"]
 
@@ -110,7 +111,7 @@ State = TypeVar("State", bound=Stepping)
 Scheme = TypeVar("Scheme", bound=CameraState)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Agreement(RotationEstimate):
     """What C cameras came to.
 
@@ -147,6 +148,14 @@ class Agreement(RotationEstimate):
     def rounds(self) -> int:
         """The same as `iterations`."""
         return self.iterations
+
+    def _told_besides(self) -> list[tuple[str, str]]:
+        apart = f"within {np.degrees(self.spread):.2g}° of each other"
+        done = f"{int(self.converged.sum())} of {len(self.converged)} converged, {apart}"
+        faults = [("at fault", f"camera {c}: {text}") for c, text in sorted(self.faults.items())]
+        refused = [("refused", f"camera {c}: {text}") for c, text in sorted(self.refused.items())]
+        sent = ("sent", f"{int(self.sent.sum())} bytes by all cameras together")
+        return [("cameras", done), sent, proof_told(self.certified), *faults, *refused]
 
 
 def solve_exchange(

@@ -1,0 +1,87 @@
+"""The notebooks run, and show what is kept in them."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pages.notebooks import NOTEBOOKS, as_markdown, read, run, source_of
+from tests.where import REPOSITORY
+
+# Bytes that a notebook with its pictures may have.
+MOST = 250_000
+
+
+def text_of(outputs: list[dict[str, Any]]) -> str:
+    """What is shown as text, spaces aside; numbers as such."""
+    said = []
+    for output in outputs:
+        data = output.get("data", {"text/plain": output.get("text", [])})
+        said += data["text/plain"] if not any(kind.startswith("image/") for kind in data) else ["a picture"]
+    return " ".join("".join(said).split())
+
+
+NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]?\d+)?")
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=[path.stem for path in NOTEBOOKS])
+def test_a_notebook_runs_and_shows_what_is_kept_in_it(path: Path) -> None:
+    notebook = read(path)
+    for number, (cell, shown) in enumerate(zip(notebook["cells"], run(notebook), strict=True)):
+        if cell["cell_type"] != "code":
+            continue
+        kept, found = text_of(cell["outputs"]), text_of(shown)
+        # The words are the same; numbers may differ as much as another machine's arithmetic makes them.
+        assert NUMBER.sub("#", found) == NUMBER.sub("#", kept), f"cell {number}: run python -m pages.notebooks"
+        numbers, before = ([float(n) for n in NUMBER.findall(text)] for text in (found, kept))
+        np.testing.assert_allclose(numbers, before, rtol=0.5, atol=0.3, err_msg=f"cell {number}")
+
+
+def test_there_are_some() -> None:
+    assert len(NOTEBOOKS) >= 4
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=[path.stem for path in NOTEBOOKS])
+def test_a_notebook_is_one_that_can_be_opened(path: Path) -> None:
+    notebook = read(path)
+    assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
+    assert notebook["metadata"]["kernelspec"]["name"] == "python3"
+    assert path.stat().st_size < MOST
+    ids = [cell["id"] for cell in notebook["cells"]]
+    assert len(set(ids)) == len(ids)
+    for cell in notebook["cells"]:
+        assert cell["cell_type"] in ("code", "markdown")
+        assert cell["metadata"] == {}
+        if cell["cell_type"] == "code":
+            assert cell["execution_count"] is None
+            assert {output["output_type"] for output in cell["outputs"]} <= {"stream", "execute_result"}
+    # As it is written by `python -m pages.notebooks`, whoever changed it.
+    assert path.read_text(encoding="utf-8") == json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=[path.stem for path in NOTEBOOKS])
+def test_links_of_a_notebook_lead_somewhere(path: Path) -> None:
+    prose = "\n".join(source_of(cell) for cell in read(path)["cells"] if cell["cell_type"] == "markdown")
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose):
+        file, _, anchor = target.partition("#")
+        page = (path.parent / file).resolve()
+        assert page.is_file(), target
+        assert page.is_relative_to(REPOSITORY)
+        if anchor:
+            headings = re.findall(r"(?m)^#+ (.*)$", page.read_text(encoding="utf-8"))
+            assert anchor in {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}, target
+
+
+def test_as_a_page_it_has_code_texts_and_pictures(tmp_path: Path) -> None:
+    (path,) = (path for path in NOTEBOOKS if path.stem == "first_steps")
+    page = as_markdown(path, tmp_path / "pictures")
+    assert page.startswith("# First steps")
+    assert page.count("```") % 2 == 0
+    pictures = re.findall(r"!\[[^\]]+\]\((pictures/[\w.]+)\)", page)
+    assert len(pictures) == 2
+    assert all((tmp_path / picture).stat().st_size > 10_000 for picture in pictures)
