@@ -171,7 +171,8 @@ def test_another_recording_is_refused(session: Path, tmp_path: Path) -> None:
         recording_of(tmp_path / "out")
     # Whose name would be asked for in the network, with the user's credentials.
     for elsewhere in (r"\\evil.example\share", "//evil.example/share"):
-        settings.write_text(re.sub("(?m)^recording = .*$", lambda _, e=elsewhere: f"recording = '{e}'", text))
+        line = f"recording = '{elsewhere}'".replace("\\", r"\\")
+        settings.write_text(re.sub("(?m)^recording = .*$", line, text))
         with pytest.raises(ValueError, match="on another computer"):
             recording_of(tmp_path / "out")
     settings.write_text(text.partition("[cameras]")[0])
@@ -237,7 +238,7 @@ def test_the_slider_moves_the_object(browser: Any, server: tuple[Any, str], resu
         nodes = player.page._objects[""]
         before = np.array(nodes.axes.position)
         until(lambda: all(image.visible for image in player.page._images))
-        with opened(browser, url, width=480, height=300) as shown:
+        with opened(browser, url, online=True, viewport={"width": 480, "height": 300}) as shown:
             shown.page.get_by_role("slider").first.wait_for(timeout=60_000)
             until(lambda: viser.get_clients())
             assert "a <b>title</b>" in shown.page.locator("body").inner_text()
@@ -262,7 +263,7 @@ def test_the_slider_moves_the_object(browser: Any, server: tuple[Any, str], resu
             assert depth > 1.0 > player.page._images[0].scale
             assert [lines.visible for lines in player.page._lines] == [True, False, True]
             assert shown.errors == []
-            assert all(address.startswith((url, "data:", "blob:")) for address in shown.asked)
+            assert all(address.startswith((url, "data:", "blob:")) for address in shown.requests)
 
 
 def test_it_plays_to_the_end(server: tuple[Any, str], result: Path) -> None:
@@ -343,11 +344,11 @@ def test_a_page_that_plays_by_itself(
     assert main(["show", str(result), "--save", str(page)]) == 0
     assert str(page) in capsys.readouterr().out
     assert page.stat().st_size < 8e6
-    with opened(browser, page.as_uri(), width=480, height=300) as shown:
+    with opened(browser, page.as_uri(), viewport={"width": 480, "height": 300}) as shown:
         shown.page.locator("canvas").first.wait_for(timeout=60_000)
         shown.page.wait_for_timeout(1000)
         assert shown.errors == []
-        assert all(address.startswith(("file:", "data:", "blob:")) for address in shown.asked)
+        assert all(address.startswith(("file:", "data:", "blob:")) for address in shown.requests)
 
 
 def test_what_cannot_be_shown(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -48,7 +49,7 @@ def test_frames_of_videos(kind: str, tmp_path: Path) -> None:
         pytest.skip(f"FFmpeg here has no {codec}")
     folder = folder_of(tmp_path / "recording")
     with av.open(str(folder / f"cam_0.{kind}"), "w") as file:
-        stream = file.add_stream(codec, rate=30, options=options)
+        stream: Any = file.add_stream(codec, rate=30, options=options)
         stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
         for k in range(FRAMES):
             file.mux(stream.encode(av.VideoFrame.from_ndarray(picture(k), format="bgr24")))

@@ -61,20 +61,21 @@ def track_aloud(
         raise ValueError("--quiet and --verbose exclude each other")
     with ExitStack() as stack:
         tell = None if poses is None else stack.enter_context(listener(poses))
-        page = stack.enter_context(_shown(session, out, port, browser, poses == STDOUT)) if show else None
+        known = next(iter((options.get("known") or {}).values()), None)
+        rig = Rig(session.rig.cameras, unit_of(session.rig, known))
+        page = stack.enter_context(_shown(session, rig, out, port, browser, poses == STDOUT)) if show else None
         return _track_aloud(session, out, tell, page, poses == STDOUT, quiet, verbose, options)
 
 
 @contextmanager
 def _shown(
-    session: Session | LiveSession, out: Path | None, port: int, browser: bool, to_stdout: bool
+    session: Session | LiveSession, rig: Rig, out: Path | None, port: int, browser: bool, to_stdout: bool
 ) -> Iterator[LivePage]:
-    """A page on which a run is shown while it goes on."""
+    """A page on which a run is shown while it goes on; `rig` has its poses' unit."""
     from sylpose.app.live_page import LivePage
     from sylpose.app.local_page import open_browser
     from sylpose.app.viewer_server import viewer_server
 
-    rig = session.rig if len(session.rig) > 1 else Rig(session.rig.cameras, ONE_CAMERA_UNIT)
     with (
         viewer_server(port=port) as (server, url),
         LivePage(server, rig, session.objects, session.path.resolve().name) as page,
