@@ -48,7 +48,7 @@ ALLOWED: dict[str, set[str]] = {
     "files": set(),
     "calibration": NOUNS | FILES,
     "report": NOUNS | FILES,
-    "exports": NOUNS | FILES,
+    "exports": NOUNS | FILES | {"report"},
     "simulate": NOUNS | FILES | {"calibration"},
     "capture": NOUNS | {"calibration"},
     "sync": NOUNS | {"capture"},

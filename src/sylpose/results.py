@@ -307,45 +307,6 @@ class Trajectory(Told):
         """(N, 3) the object's centre in the world; NaN rows where there is no pose."""
         return np.array([f.position for f in self.frames]).reshape(-1, 3)
 
-    def columns(self) -> dict[str, Any]:
-        """All frames as columns of N values, called as those of trajectory.csv: lists of words, arrays of numbers.
-
-        NaN where there is no value; an infinite standard deviation is unbounded.
-        """
-        frames, n = self.frames, len(self.frames)
-        poses = [f.world_from_object for f in frames]
-        quaternions = np.array([np.full(4, np.nan) if p is None else p.rotation.as_quat() for p in poses]).reshape(n, 4)
-        angles = np.degrees([f.pan_tilt_roll for f in frames]).reshape(n, 3)
-        sigmas = np.array([f.sigma for f in frames]).reshape(n, 6)
-        sigmas = np.where(np.array([p is None for p in poses]).reshape(n, 1), np.nan, sigmas) * (
-            [180 / np.pi] * 3 + [1] * 3
-        )
-        found: dict[str, Any] = {"index": np.array([f.index for f in frames], dtype=np.int64), "time": self.times}
-        found |= {"status": [f.status.value for f in frames], "observable": [f.observable.value for f in frames]}
-        found["unit"] = [self.unit] * n
-        of_rows = (("tx ty tz", self.positions), ("qx qy qz qw", quaternions), ("pan_deg tilt_deg roll_deg", angles))
-        for names, rows in (*of_rows, ("rx_sd_deg ry_sd_deg rz_sd_deg tx_sd ty_sd tz_sd", sigmas)):
-            found |= dict(zip(names.split(), rows.T, strict=True))
-        for c, name in enumerate(self.camera_names):
-            found[f"inliers_{name}"] = np.array([f.inliers[c] for f in frames], dtype=np.int64)
-            found[f"residual_px_{name}"] = np.array([f.residuals[c] for f in frames], dtype=float)
-            for what in ("doubt", "matches"):  # which are empty where they are not known
-                known = [float(v[c]) if len(v := getattr(f, what)) else np.nan for f in frames]
-                found[f"{what}_{name}"] = np.array(known)
-        return found | {"faults": ["; ".join(f.faults) for f in frames], "reason": [f.reason for f in frames]}
-
-    def to_dataframe(self) -> Any:
-        """`columns` as a pandas DataFrame.
-
-        Raises:
-            ImportError: pandas is not installed.
-        """
-        try:
-            import pandas
-        except ImportError:
-            raise ImportError("to_dataframe needs pandas: pip install 'sylpose[export]'") from None
-        return pandas.DataFrame(self.columns())
-
     @property
     def turn(self) -> FloatArray:
         """(N,) angle turned since the first solved frame, radians in [0, pi]; NaN where there is no pose."""

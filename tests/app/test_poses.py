@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -100,9 +99,12 @@ def test_points_and_where_cameras_see_them(tmp_path: Path, rig_file: Path, capsy
 def test_each_frame_is_found_by_itself(tmp_path: Path, rig_file: Path) -> None:
     """What is seen in other frames changes nothing; those of which too little is seen have no pose, and say why."""
     its, points = rows(), points_file(tmp_path)
-    few = [row for row in its if row[1] not in (3, 4) or (row[0] == "cam_0" and row[2] in ("p1", "p2", "p3"))]
-    empty: list[Any] = [row if row[1] != 4 else (*row[:3], "", "") for row in few]
-    for name, these in (("all", its), ("few", empty)):
+    few: list[tuple[object, ...]] = [
+        row for row in its if row[1] not in (3, 4) or (row[0] == "cam_0" and row[2] in ("p1", "p2", "p3"))
+    ]
+    few = [row if row[1] != 4 else (*row[:3], "", "") for row in few]
+    tables: dict[str, list[tuple[object, ...]]] = {"all": [*its], "few": few}
+    for name, these in tables.items():
         pixels = table(tmp_path / f"{name}.csv", these)
         asked = ["pose", str(points), str(pixels), "--calibration", str(rig_file), "--out", str(tmp_path / name)]
         assert main(asked) == 0
@@ -253,6 +255,17 @@ def test_markers_are_found_in_a_recording(cube: Path, tmp_path: Path) -> None:
     some = solved(tmp_path / "mm")
     assert [pose.index for pose in some] == [1, 3, 5]
     np.testing.assert_allclose(some.positions, trajectory.positions[1::2], atol=1e-9)
+
+
+def test_markers_that_look_inwards_are_said(cube: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = layout(tmp_path).read_text()
+    (tmp_path / "cube.toml").write_text(text.replace("y = [0, 0, 1]", "y = [0, 0, -1]"))
+    assert load_points(layout(tmp_path)).markers.inwards == ()  # type: ignore[union-attr]
+    (tmp_path / "cube.toml").write_text(text.replace("y = [0, 0, 1]", "y = [0, 0, -1]"))
+    assert main(["pose", str(tmp_path / "cube.toml"), str(cube), "--out", str(tmp_path / "out"), "--stop", "2"]) == 0
+    assert "marker 7 looks inwards" in capsys.readouterr().out
+    # What the others say is believed.
+    assert np.degrees(np.linalg.norm(errors(solved(tmp_path / "out")[0], elsewhere(0))[:3])) < 1.0
 
 
 def test_markers_that_are_not_there(cube: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

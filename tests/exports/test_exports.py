@@ -6,7 +6,6 @@ import base64
 import csv
 import json
 import struct
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -203,43 +202,6 @@ def test_parquet(tmp_path: Path) -> None:
     assert table["status"].to_pylist()[COASTING] == "coasting"
     assert table["doubt_cam_1"].to_pylist()[0] == np.inf
     assert table.schema.field("inliers_cam_0").type == "int64"
-
-
-def test_dataframe() -> None:
-    pandas = pytest.importorskip("pandas")
-    frame = path().to_dataframe()
-    assert isinstance(frame, pandas.DataFrame)
-    assert frame["tx"].isna().sum() == len(MISSING)
-    assert frame.loc[2, "rz_sd_deg"] == pytest.approx(np.degrees(0.02))
-
-
-def test_dataframe_without_pandas(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match=r"to_dataframe needs pandas: pip install 'sylpose\[export\]'"):
-        path().to_dataframe()
-
-
-def test_columns_are_those_of_the_csv(tmp_path: Path) -> None:
-    """Names, and values up to what the file rounds."""
-    write_trajectory(tmp_path, path())
-    with (tmp_path / "trajectory.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    columns = path().columns()
-    assert set(columns) == set(rows[0])
-    for name, column in columns.items():
-        for value, row in zip(column, rows, strict=True):
-            cell = row[name]
-            if isinstance(value, str):
-                assert value == cell, name
-            elif cell and not (name.endswith("_sd") and value == 0):
-                assert float(value) == pytest.approx(float(cell), rel=1e-5, abs=1e-9), name
-            else:
-                assert not np.isfinite(value), (name, value, cell)
-
-
-def test_an_empty_trajectory_has_columns() -> None:
-    columns = Trajectory([], ["a"]).columns()
-    assert {len(column) for column in columns.values()} == {0}
 
 
 # ROS

@@ -26,6 +26,8 @@ LARGEST, MOST_POINTS = 1 << 26, 1_000_000
 MOST_MARKERS = 10_000
 # Corners of a marker are square to this share of its side (choice: three decimals), and its axes to this cosine.
 SQUARE, ACROSS = 0.02, 1e-3
+# A marker looks inwards that is so many of its sides behind the middle of all (choice).
+INWARDS = 0.25
 # Bytes that PLY's header has at most (choice).
 PLY_HEADER = 1 << 14
 _COLUMNS = ("name", "x", "y", "z")
@@ -43,6 +45,16 @@ class Layout:
 
     board: Board
     names: tuple[int, ...]
+
+    @property
+    def inwards(self) -> tuple[int, ...]:
+        """Numbers of markers that look towards the middle of all: their corners may be told the wrong way round."""
+        corners = self.board.points.reshape(-1, 4, 3)[[name - self.names[0] for name in self.names]]
+        centers = corners.mean(axis=1)
+        right, up = corners[:, 1] - corners[:, 0], corners[:, 0] - corners[:, 3]
+        out = np.einsum("ni,ni->n", np.cross(right, up), centers - centers.mean(axis=0))
+        sides = np.linalg.norm(right, axis=1)
+        return tuple(name for name, far in zip(self.names, out / sides**3, strict=True) if far < -INWARDS)
 
 
 @dataclass(frozen=True, eq=False)

@@ -97,6 +97,11 @@ def pose_aloud(
         check_out(session, out)
         rig, source = session.rig, seen[0]
         layout = _markers(known, model, rig, is_in)
+        if layout.inwards:
+            said = ", ".join(map(str, layout.inwards))
+            text.print_warnings(
+                console, [f"marker {said} looks inwards: are its corners clockwise, as printed? x right, y up?"]
+            )
         frames: Iterable[Seen] = _in_recording(session, layout, start, stop, every)
     else:
         if given is None:

@@ -14,14 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.exports.poses import Poses, runs_of
 from sylpose.files import replacing
+from sylpose.report.tables import columns_of
 from sylpose.results import Trajectory
 
 __all__ = ["write_bvh", "write_csv", "write_trc", "write_tum"]
 
 
 def write_csv(trajectory: Trajectory, path: Path) -> list[str]:
-    """All frames and columns (`Trajectory.columns`); cells are empty where there is no value."""
-    columns = trajectory.columns()
+    """All frames and columns (`report.tables`); cells are empty where there is no value."""
+    columns = columns_of(trajectory)
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(columns)

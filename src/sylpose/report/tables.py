@@ -20,22 +20,23 @@ PER_CAMERA = ("inliers", "residual_px", "doubt", "matches")
 
 
 def columns_of(trajectory: Trajectory) -> dict[str, list[Any]]:
-    """The columns of trajectory.csv (docs/formats.md), not rounded: NaN where there is no value, infinity where a standard
-    deviation is unbounded."""
+    """The columns of trajectory.csv (docs/formats.md), not rounded: words, whole numbers, and numbers: NaN where there is no
+    value, infinity where a standard deviation is unbounded."""
     names = trajectory.camera_names
     per_camera = [f"{what}_{name}" for what in PER_CAMERA for name in names]
     quaternion, rows = None, []
     for f in trajectory:
-        pose, nothing = np.full(7, np.nan), np.full(len(names), np.nan)
+        pose, sigma, nothing = np.full(7, np.nan), np.full(6, np.nan), np.full(len(names), np.nan)
         if f.world_from_object is not None:
+            sigma = f.sigma
             quaternion = continued(f.world_from_object.rotation.as_quat(), quaternion)
             pose = np.concatenate([f.position, quaternion])
         told: list[Any] = [f.index, f.time, f.status.value, f.observable.value, trajectory.unit]
         told += [
             *pose.tolist(),
             *np.degrees(f.pan_tilt_roll).tolist(),
-            *np.degrees(f.sigma[:3]).tolist(),
-            *f.sigma[3:].tolist(),
+            *np.degrees(sigma[:3]).tolist(),
+            *sigma[3:].tolist(),
         ]
         for values in (f.inliers, f.residuals, f.doubt, f.matches):
             told += (values if len(values) else nothing).tolist()
@@ -53,7 +54,8 @@ def dataframe(trajectory: Trajectory) -> Any:
     try:
         import pandas
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("a DataFrame needs pandas: python3 -m pip install pandas", name=error.name) from None
+        said = "a DataFrame needs pandas: python3 -m pip install 'sylpose[export]'"
+        raise ModuleNotFoundError(said, name=error.name) from None
     return pandas.DataFrame(columns_of(trajectory))
 
 
