@@ -272,6 +272,8 @@ def test_what_cannot_be_drawn_into(session: Path, capsys: pytest.CaptureFixture[
     assert "start must be in 0 ... 11" in sentence("--start", 12, "--no-browser")
     (session / "boxes.toml").write_text("cam_0 = 3")
     assert "boxes.toml: cam_0 = [x, y, width, height] is expected" in sentence("--no-browser")
+    (session / "live.toml").write_text("[sources]\ncam_0 = 0\n")
+    assert "of live cameras; boxes are drawn into recordings" in sentence("--no-browser")
 
 
 def test_track_says_how_boxes_come_about(session: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,7 +25,7 @@ __all__ = ["Player", "add_layers", "add_views", "said_of", "saved_page"]
 RATE, UPDATES = 10.0, 25.0
 SPEEDS = {"1/8": 0.125, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
 ALL = "all of it"
-# Of a file: frames in all, and of these so many with images (choice: about 3 MB).
+# Of a file: frames in all, and of these so many with images (choice: about 6 MB with four cameras).
 MOST_FRAMES, MOST_IMAGES = 1500, 60
 
 
