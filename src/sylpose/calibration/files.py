@@ -32,9 +32,13 @@ def find(folder: str | os.PathLike[str]) -> Path:
         raise FileNotFoundError(f"{folder}: no such folder")
     found = sorted(path for path in folder.iterdir() if path.is_file() and is_calibration_name(path))
     if not found:
+        below = next(
+            (path for path in sorted(folder.glob("*/*")) if path.is_file() and is_calibration_name(path)), None
+        )
+        instead = f"; if {below} is its, say --calibration, and the folder that the videos are in" if below else ""
         raise ValueError(
             f"{folder}: no calibration in it; expected one such as calibration.toml, camera_array.toml, "
-            "calibration.yml, .json or .xml"
+            f"calibration.yml, .json or .xml{instead}"
         )
     if len(found) > 1:
         raise ValueError(
