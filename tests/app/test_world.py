@@ -22,6 +22,7 @@ from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.results import Trajectory
+from sylpose.rig import Rig
 from sylpose.simulate import render_frames, write_sequence
 from tests.boards.drawn import on_the_floor
 
@@ -183,6 +184,9 @@ def test_the_file_that_a_run_leaves_tells_the_same_world(recording: Path, on_the
         if a.world_from_object is not None and b.world_from_object is not None:
             assert np.linalg.norm(1000 * a.position - b.position) <= b.sigma[3:].max() + 1e-6
     assert calibration.load(other / "calibration.used.toml").unit == "mm"
+    settings = (other / "settings.toml").read_text()
+    assert 'unit = "mm"' in settings
+    assert "rate = 30.0" in settings
 
 
 def test_an_interrupted_run_goes_on_in_its_world_only(
@@ -306,6 +310,36 @@ def test_what_is_no_world_is_said(
     assert error.startswith("sylpose: ")
     assert error.count("\n") == 1
     assert [*tmp_path.iterdir()] == []
+
+
+def test_a_calibration_without_a_unit_is_told_what_to_do(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "project" / "videos"
+    session.mkdir(parents=True)
+    for video in recording.glob("*.mp4"):
+        (session / video.name).symlink_to(video)
+    calibration.save(
+        Rig(calibration.load(recording / "calibration.toml").cameras), tmp_path / "project/calibration.toml"
+    )
+    given = ("--calibration", tmp_path / "project/calibration.toml", "--out", tmp_path)
+    said = {
+        (
+            "--unit",
+            "mm",
+        ): "does not say its own unit; sylpose calibration convert IN OUT --is-in m writes one that does",
+        (
+            "--world",
+            TAG,
+        ): "size is in mm, but the calibration does not say its own unit: give it in that, without a name",
+    }
+    for options, words in said.items():
+        assert sylpose("check", session, *given, *options) == 2
+        error = capsys.readouterr().err
+        assert error.strip().endswith(words)
+    assert sylpose("check", session, *given, "--world", "apriltag:36h11,id=5,size=0.14") == 0
+    assert sylpose("check", tmp_path) == 2
+    assert "project/calibration.toml is its, say --calibration" in capsys.readouterr().err
 
 
 def test_images_elsewhere_that_are_nobodys_are_said(recording: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from typing import TypeVar
 from sylpose.app.world import WorldAsked, world_of_session
 from sylpose.capture import Session, live, open_session
 from sylpose.capture.session import SessionBase
+from sylpose.units import METRES
 
 __all__ = ["camera_files", "check_out", "open_asked", "open_recorded", "told"]
 
@@ -96,6 +97,11 @@ def told(opened: Opened, world: WorldAsked | None, unit: str | None) -> Opened:
     if world is not None:
         found, notes = world_of_session(opened, world)
         opened = replace(opened.told_in(found), warnings=(*opened.warnings, *notes))
+    if unit in METRES and not opened.rig.unit:
+        raise ValueError(
+            f"--unit {unit}: {opened.calibration} does not say its own unit; sylpose calibration convert IN OUT --is-in m "
+            "writes one that does"
+        )
     return opened if unit is None else opened.with_rig(opened.rig.in_unit(unit))
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.checked import finite, finite_rows, items, kind_of, number, one_of, shown, truth, whole
 from sylpose.reading import one_line
-from sylpose.units import length_of
+from sylpose.units import NoUnit, length_of
 
 __all__ = ["EXAMPLES", "Board", "is_board", "parse_board"]
 
@@ -141,6 +141,8 @@ def parse_board(text: str, unit: str = "") -> Board:
         asked = _Asked(values, unit)
         board = _KINDS[kind](what, text, asked)
         asked.nothing_else()
+    except NoUnit as error:
+        raise ValueError(f"{_shown(text)}: {error}") from None
     except ValueError as error:
         example = next(e for e in EXAMPLES if e.startswith(f"{kind}:"))
         raise ValueError(f"{_shown(text)}: {error}; expected is one such as {example}") from None
