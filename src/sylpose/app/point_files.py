@@ -38,23 +38,22 @@ class Layout:
     """Markers on an object.
 
     Attributes:
-        board: what detectors look for: all numbers from the least to the greatest; its points are in the object's frame, NaN
-            of numbers that are not on it.
-        names: the numbers that are.
+        marker: what detectors look for, one of them.
+        corners: (4, 3) by number, object's frame, in the order of `Board.points`: from the upper left one on, clockwise.
     """
 
-    board: Board
-    names: tuple[int, ...]
+    marker: Board
+    corners: Mapping[int, FloatArray]
 
     @property
     def inwards(self) -> tuple[int, ...]:
         """Numbers of markers that look towards the middle of all: their corners may be told the wrong way round."""
-        corners = self.board.points.reshape(-1, 4, 3)[[name - self.names[0] for name in self.names]]
+        corners = np.array([*self.corners.values()])
         centers = corners.mean(axis=1)
         right, up = corners[:, 1] - corners[:, 0], corners[:, 0] - corners[:, 3]
         out = np.einsum("ni,ni->n", np.cross(right, up), centers - centers.mean(axis=0))
         sides = np.linalg.norm(right, axis=1)
-        return tuple(name for name, far in zip(self.names, out / sides**3, strict=True) if far < -INWARDS)
+        return tuple(name for name, far in zip(self.corners, out / sides**3, strict=True) if far < -INWARDS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +90,7 @@ class PointModel:
             )
         scale, markers = METRES[its] / METRES[unit], self.markers
         if markers is not None:
-            markers = replace(markers, board=replace(markers.board, points=scale * markers.board.points))
+            markers = replace(markers, corners={name: scale * its for name, its in markers.corners.items()})
         return PointModel(unit, {name: scale * place for name, place in self.points.items()}, markers)
 
 
@@ -192,22 +191,15 @@ def _layout(markers: Mapping[str, Any], family: Any, size: Any, unit: str) -> La
         if int(word) in corners:
             raise ValueError(f"markers.{word}: the number is there twice")
         corners[int(word)] = _corners(table, f"markers.{word}", side)
-    least, most = min(corners), max(corners)
-    if most - least >= MOST_MARKERS:
-        raise ValueError(f"markers: numbers from {least} to {most} are of no one family")
-    points = np.full((4 * (most - least + 1), 3), np.nan)
-    for number, places in corners.items():
-        points[4 * (number - least) : 4 * (number - least) + 4] = places
-    # The detector's board, with a size that it does not use.
-    board = parse_board(f"{family},id={least},size=1", "")
-    if board.kind != "marker":
+    if max(corners) - min(corners) >= MOST_MARKERS:
+        raise ValueError(f"markers: numbers from {min(corners)} to {max(corners)} are of no one family")
+    # A size that detectors do not use.
+    marker = parse_board(f"{family},id={min(corners)},size=1", "")
+    if marker.kind != "marker":
         raise ValueError(
             f"family: {one_line(family, 60)} is none of single markers, such as apriltag:36h11 or aruco:4X4_50"
         )
-    return Layout(
-        replace(board, size=(most - least + 1, 1), points=points, alike=(np.arange(len(points)),)),
-        tuple(sorted(corners)),
-    )
+    return Layout(marker, dict(sorted(corners.items())))
 
 
 def _corners(table: Mapping[str, Any], name: str, side: float | None) -> FloatArray:

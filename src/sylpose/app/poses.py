@@ -19,7 +19,7 @@ from sylpose.app.pixel_files import load_pixels
 from sylpose.app.point_files import Layout, PointModel, load_points
 from sylpose.app.record import SETTINGS, USED
 from sylpose.app.run import Run
-from sylpose.boards.detection import detect
+from sylpose.boards.detection import markers_in
 from sylpose.capture import Session
 from sylpose.files import output_folder
 from sylpose.known_model.pose import estimate_pose
@@ -158,10 +158,9 @@ def _seen_in(image: Image | None, camera: Camera, layout: Layout) -> tuple[Float
     """Corners (n, 3) of the markers on the object that an image shows, and where (n, 2)."""
     if image is None:
         return np.empty((0, 3)), np.empty((0, 2))
-    found = detect(image, camera, layout.board)
-    points = layout.board.points[found.numbers]
-    good = np.isfinite(points).all(axis=1)
-    return points[good], found.pixels[good]
+    numbers, pixels, _ = markers_in(image, camera, layout.marker, layout.corners)
+    points = np.array([layout.corners[number] for number in numbers.tolist()])
+    return points.reshape(-1, 3), pixels.reshape(-1, 2)
 
 
 def _in_tables(

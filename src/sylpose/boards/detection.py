@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -13,7 +14,7 @@ from sylpose.boards.specification import Board
 from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.rig import Camera
 
-__all__ = ["Detection", "detect"]
+__all__ = ["Detection", "detect", "markers_in"]
 
 # Squares of a chessboard are looked at in this share of their middle (choice), and so many of the neighbours must differ as
 # black and white do (choice: shadows and glare spoil some).
@@ -60,6 +61,31 @@ def detect(image: Image, camera: Camera, board: Board) -> Detection:
     if board.kind == "charuco":
         return _charuco(board, grey, camera)
     return _markers(board, grey, camera)
+
+
+def markers_in(
+    image: Image, camera: Camera, marker: Board, numbers: Collection[int]
+) -> tuple[IntArray, FloatArray, str]:
+    """Looks for several markers of one kind at once.
+
+    Args:
+        image: as in `detect`.
+        marker: one of them.
+        numbers: of those that are looked for.
+
+    Returns:
+        numbers (m,) of those that are seen once; their corners (m, 4, 2) as `Board.points` of each has them; and a sentence
+        about those that are seen more than once, or "".
+
+    Raises:
+        ValueError: as `detect`.
+    """
+    grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    first = min(numbers, default=0)
+    which, places, problem = _tags(replace(marker, first_id=first), grey, camera, max(numbers, default=0) - first + 1)
+    which = which + first
+    mine = np.isin(which, list(numbers))
+    return which[mine], np.roll(places, 2, axis=1)[mine] if marker.half_turned else places[mine], problem
 
 
 def _nothing(problem: str = "") -> Detection:

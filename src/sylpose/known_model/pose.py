@@ -56,8 +56,7 @@ SAYS = 0.5
 # by far better than they were measured; noise that is said as if so many had, an eighth of its size (choice).
 USUAL_FREEDOM, SAID_FREEDOM = 2.0, 30.0
 # Of two poses that explain the matches nearly equally well, the better is believed from these odds on (measured: of flat
-# models of 4 to 20 points before one camera that are OK, 1 in 250 is the mirror image; by odds of 3 and noise as the best
-# pose shows it, 1 in 25 is) (choice).
+# models of 4 to 20 points before one camera that are OK, 1 in 250 is the mirror image; by odds of 3 1 in 20 is) (choice).
 CLEAR_ODDS = 20.0
 
 
