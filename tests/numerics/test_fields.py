@@ -16,7 +16,9 @@ T = TypeVar("T", bound=np.generic)
 
 def aliased(number: type[np.generic]) -> Any:
     """NDArray of such numbers as NumPy 2.5 spells it, which takes Python 3.12."""
-    alias: Any = SimpleNamespace(__value__=np.ndarray[tuple[Any, ...], np.dtype[T]])
+    array: Any = np.ndarray
+    dtype: Any = np.dtype
+    alias: Any = SimpleNamespace(__value__=array[tuple[Any, ...], dtype[T]])
     return GenericAlias(alias, (number,))
 
 
