@@ -57,8 +57,8 @@ HARDLY_SEEN = 0.08
 # So many standard deviations are far. What is there is taken in as if it were no farther than the second, since likelihoods
 # are trusted to so much (choice) ...
 FAR, NEAR = 6.0, 3.0
-# ... where the covariance is too small for it by more than this (measured: taken in at once, of two cameras the mean square of
-# errors in their own standard deviations is 3.9 instead of 4.1, where 4.4 is had without any, and 6 are right).
+# ... where the covariance is too small for it by more than this (measured: where all is taken in, the mean square of errors
+# in their own standard deviations before two cameras is 3.9, with this 4.1, without any 4.4; 6 is right).
 TOO_SMALL = 4.0
 
 
