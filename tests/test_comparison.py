@@ -149,6 +149,8 @@ def test_what_cannot_be_compared(align: Alignment, step: int, poses: RigidTransf
 
 
 def test_times_must_increase_and_meet() -> None:
+    with pytest.raises(ValueError, match="within must be a number of seconds, got nan"):
+        pairs_in_time(np.arange(3.0), np.arange(3.0), within=float("nan"))
     times, poses = motion()
     with pytest.raises(ValueError, match="times must increase"):
         compared(times[::-1], poses, times, poses)

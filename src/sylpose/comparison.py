@@ -118,7 +118,7 @@ def pairs_in_time(times: FloatArray, others: FloatArray, within: float | None = 
         within: None for half of the least step of `others`.
 
     Raises:
-        ValueError: times that do not increase; fewer than two of `others` where `within` is None.
+        ValueError: times that do not increase; fewer than two of `others` where `within` is None; a distance that is none.
     """
     for row in (times, others):
         if (np.diff(row) <= 0).any():
@@ -127,6 +127,8 @@ def pairs_in_time(times: FloatArray, others: FloatArray, within: float | None = 
         if len(others) < 2:
             raise ValueError(f"two poses to compare with are needed, got {len(others)}")
         within = 0.5 * float(np.diff(others).min())
+    if not 0 <= within < np.inf:
+        raise ValueError(f"within must be a number of seconds, got {within:g}")
     if not len(times):
         return np.empty(0, np.int64), np.empty(0, np.int64)
     behind = np.clip(np.searchsorted(times, others), 1, max(len(times) - 1, 1))

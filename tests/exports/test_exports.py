@@ -309,6 +309,16 @@ def test_packages_that_are_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyP
                 export(path(), tmp_path / f"a{(*its.suffixes, '')[0]}", to)
 
 
+def test_names_have_no_blanks_where_words_are_told_by_them(tmp_path: Path) -> None:
+    export(path(), tmp_path / "a.trc", name="my mug")
+    assert "my_mug_O" in (tmp_path / "a.trc").read_text()
+    export(path(), tmp_path / "a.bvh", name="my mug", stop=7)
+    assert "ROOT my_mug\n" in (tmp_path / "a.bvh").read_text()
+    for name in ("", " ", "a\nb"):
+        with pytest.raises(ValueError, match="the object's name must be text"):
+            export(path(), tmp_path / "b.trc", name=name)
+
+
 def test_lengths_without_a_unit_are_said(tmp_path: Path) -> None:
     for name in ("a.trc", "a.glb"):
         (said,) = export(path(""), tmp_path / name)

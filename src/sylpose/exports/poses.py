@@ -48,8 +48,10 @@ class Poses:
         """The measured poses of the frames with numbers from `start` up to `stop`, or all.
 
         Raises:
-            ValueError: no pose was measured in these frames; times that do not increase.
+            ValueError: no pose was measured in these frames; times that do not increase; a name that is no text.
         """
+        if not name.strip() or not name.isprintable():
+            raise ValueError(f"the object's name must be text, got {name!r}")
         frames = [f for f in trajectory if (start is None or f.index >= start) and (stop is None or f.index < stop)]
         if not any(f.measured for f in frames):
             raise ValueError(f"no pose was measured in the {len(frames)} frames that are asked for: nothing to export")
@@ -72,6 +74,11 @@ class Poses:
     def found(self) -> BoolArray:
         """(N,) frames with a pose."""
         return np.asarray(np.isfinite(self.positions).all(axis=1))
+
+    @property
+    def word(self) -> str:
+        """The name without blanks."""
+        return "_".join(self.name.split())
 
     @property
     def axis(self) -> float:
@@ -108,7 +115,7 @@ class Poses:
         places = np.full((len(self), 4, 3), np.nan)
         turned = Rotation.from_quat(self.quaternions[found]).as_matrix()
         places[found] = np.einsum("nij,pj->npi", turned, points) + self.positions[found, None]
-        return [f"{self.name}_{end}" for end in ("O", "X", "Y", "Z")], places
+        return [f"{self.word}_{end}" for end in ("O", "X", "Y", "Z")], places
 
     def trimmed(self) -> Self:
         """Without gaps before the first pose and after the last one."""

@@ -92,7 +92,7 @@ def write_bvh(poses: Poses, path: Path) -> list[str]:
     turned = Rotation.from_quat(poses.quaternions)
     angles = np.degrees(np.unwrap(turned.as_euler("ZXY", suppress_warnings=True), axis=0))
     head = f"""HIERARCHY
-ROOT {poses.name}
+ROOT {poses.word}
 {{
 \tOFFSET 0.0 0.0 0.0
 \tCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation

@@ -26,17 +26,16 @@ def columns_of(trajectory: Trajectory) -> dict[str, list[Any]]:
     per_camera = [f"{what}_{name}" for what in PER_CAMERA for name in names]
     quaternion, rows = None, []
     for f in trajectory:
-        pose, sigma, nothing = np.full(7, np.nan), np.full(6, np.nan), np.full(len(names), np.nan)
+        pose, nothing = np.full(7, np.nan), np.full(len(names), np.nan)
         if f.world_from_object is not None:
-            sigma = f.sigma
             quaternion = continued(f.world_from_object.rotation.as_quat(), quaternion)
             pose = np.concatenate([f.position, quaternion])
         told: list[Any] = [f.index, f.time, f.status.value, f.observable.value, trajectory.unit]
         told += [
             *pose.tolist(),
             *np.degrees(f.pan_tilt_roll).tolist(),
-            *np.degrees(sigma[:3]).tolist(),
-            *sigma[3:].tolist(),
+            *np.degrees(f.sigma[:3]).tolist(),
+            *f.sigma[3:].tolist(),
         ]
         for values in (f.inliers, f.residuals, f.doubt, f.matches):
             told += (values if len(values) else nothing).tolist()
