@@ -302,7 +302,6 @@ def calls() -> dict[str, Call]:
             said="image must be",
         ),
         "Trajectory": Call(sylpose.Trajectory, {"frames": [pose, pose], "camera_names": ["a", "b"], "unit": "m"}),
-        "Trajectory.columns": Call(path.columns, {}, nan=True),
         "FramePose.judged": Call(pose.judged, {}),
         "FramePose.of_frame": Call(pose.of_frame, {"new_from_object": RigidTransform.identity()}),
         "KnownObject.in_frame": Call(

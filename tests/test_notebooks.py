@@ -23,7 +23,7 @@ def text_of(outputs: list[dict[str, Any]]) -> str:
     for output in outputs:
         data = output.get("data", {"text/plain": output.get("text", [])})
         said += data["text/plain"] if not any(kind.startswith("image/") for kind in data) else ["a picture"]
-    return " ".join("".join(said).split())
+    return "".join("".join(said).split())
 
 
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]?\d+)?")

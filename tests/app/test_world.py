@@ -145,7 +145,7 @@ def test_all_ways_to_tell_a_world_agree(recording: Path, tmp_path: Path, world_f
     pictures = tmp_path / "pictures"
     pictures.mkdir()
     scene = on_the_floor(parse_board(TAG, "m"), frames=FRAMES)[0]
-    for name, image in zip(rig.names[:2], next(iter(render_frames(scene))), strict=False):
+    for name, image in list(zip(rig.names, next(iter(render_frames(scene))), strict=True))[1:]:
         cv2.imwrite(str(pictures / f"{name}.png"), image)
     points = {"origin": (0, 0, 0), "x": (0.07, 0, 0), "xy": (0, 0.07, 0)}
     text = ""
@@ -226,7 +226,7 @@ def test_views_are_the_same_whatever_the_world(
     assert sylpose("view", as_calibrated, "cam_1", "--out", plain) == 0
     ways = [read_tum(folder / "view_cam_1.tum")[1] for folder in (used, given, plain)]
     for way in ways[1:]:
-        np.testing.assert_allclose(way.translation, ways[0].translation, atol=1e-4)
+        np.testing.assert_allclose(way.translation, ways[0].translation, atol=1e-3)
     assert sylpose("view", on_the_tag, "side", "--from", 0.3, -1, 0.15, "--at", 0, 0, 0.15, "--out", used) == 0
     # The camera looks along the floor: its y goes down, by as much as z of the world goes up.
     seen, there = read_tum(used / "view_side.tum")[1], read_tum(on_the_tag / "trajectory.tum")[1]

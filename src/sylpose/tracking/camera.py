@@ -34,7 +34,7 @@ from sylpose.tracking.region import polygon_mask
 from sylpose.tracking.seen_again import KNOWN_DEPTH, SeenAgain
 from sylpose.tracking.watch import View, Watch
 
-__all__ = ["CameraPart", "still_of"]
+__all__ = ["CameraPart", "is_large", "still_of"]
 
 # So many of them show it better than what the boxes allow (choice).
 MIN_SURFACE = 20
@@ -59,6 +59,12 @@ KNOWN_PLACE_PX = 1.5
 def still_of(noise_px: float) -> float:
     """What is displaced by less than this, pixels, stands still for all that keypoints of this noise can tell."""
     return float(np.clip(STILL_SIGMAS * noise_px, STILL_PX, MOST_STILL_PX))
+
+
+def is_large(camera: Camera) -> bool:
+    """Whether a camera's images are searched reduced."""
+    width, height = camera.size
+    return width * height > SEARCH_PIXELS
 
 
 class CameraPart:
@@ -120,8 +126,7 @@ class CameraPart:
     @property
     def is_large(self) -> bool:
         """Whether its images are searched reduced."""
-        width, height = self.camera.size
-        return width * height > SEARCH_PIXELS
+        return is_large(self.camera)
 
     def closer(
         self, image: Image | None, mask: BoolArray | None, features: Features, region: FloatArray | None, *, faint: bool

@@ -13,7 +13,7 @@ from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.tracking.anchor import Followed
-from sylpose.tracking.camera import CameraPart
+from sylpose.tracking.camera import CameraPart, is_large
 from sylpose.tracking.crew import Crew
 from sylpose.tracking.frame import CameraFrame, Frame
 from sylpose.tracking.frame_solvers import Solver
@@ -88,7 +88,7 @@ class Team:
         reduced. See `CameraPart.closer`."""
         return self.crew.each(
             lambda c: self.parts[c].closer(frames.images[c], frames.masks[c], features[c], regions[c], faint=faint),
-            long=any(part.is_large for part in self.parts),
+            long=any(map(is_large, self.rig)),
         )
 
     def radius_px(self, joint: Joint, c: int, world_from_object: RigidTransform) -> float:
