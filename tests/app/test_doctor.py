@@ -45,7 +45,7 @@ def test_here_everything_works(capsys: pytest.CaptureFixture[str]) -> None:
     said = capsys.readouterr().out
     assert said.startswith(f"sylpose       {sylpose.__version__} in {Path(sylpose.__file__).parent}\n")
     assert f"numpy {np.__version__}" in said
-    assert re.search(r"(?m)^Compiled code there; kept in \S", said)
+    assert re.search(r"(?m)^Compiled code there; what is compiled is kept in \S", said)
     assert re.search(r"(?m)^OpenCV        \d\.\d+\.\d+.*: opencv\S*", said)
     assert "works" in said.splitlines()[-1]
 

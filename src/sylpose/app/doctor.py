@@ -219,7 +219,7 @@ def _look_at_kernels(found: Diagnosis) -> None:
     announced()  # the line below says it
     folder, done = kept_in(), is_compiled()
     where = "nowhere: no folder can be written" if folder is None else f"in {place_of(folder)}"
-    found.facts["Compiled code"] = f"{'there' if done else 'not there yet'}; kept {where}"
+    found.facts["Compiled code"] = f"{'there' if done else 'not there yet'}; what is compiled is kept {where}"
     if folder is None and not done:
         found.warnings.append(
             f"what is compiled can be kept nowhere, so that every start takes one to two minutes: {CHOSEN}=FOLDER names a "
