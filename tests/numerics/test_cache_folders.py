@@ -78,6 +78,17 @@ def test_then_the_temporary_folder_and_then_none(source: Path, tmp_path: Path) -
     assert folders_of(source) == ((source.parent / "__pycache__",), None)
 
 
+def test_the_working_directory_is_no_temporary_folder(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python says it is where there is no other."""
+    unwritable(source.parent / "__pycache__")
+    unwritable(tmp_path / "caches" / "sylpose")
+    monkeypatch.chdir(tmp_path / "temporary")
+    assert folders_of(source)[1] is None
+    assert not list((tmp_path / "temporary").iterdir())
+
+
 @PERMISSIONS
 @pytest.mark.parametrize("how", ["others may write", "a link", "another user's"])
 def test_no_code_is_loaded_from_where_others_can_write(

@@ -62,7 +62,10 @@ def demo_aloud(out: Path, *, frames: int, turn_deg: float, n_cameras: int, seed:
         ValueError, OSError: as `render_demo` and `track_session`.
     """
     console = text.make_console()
-    with console.status(f"Rendering {frames} frames of {n_cameras} cameras ..."):
+    rendering = f"Rendering {frames} frames of {n_cameras} cameras ..."
+    if not console.is_terminal:  # which shows it while it lasts
+        console.print(rendering)
+    with console.status(rendering):
         truth = render_demo(out, frames=frames, turn_deg=turn_deg, n_cameras=n_cameras, seed=seed)
     session = open_session(out)
     run = track_aloud(session, None, seed=seed)

@@ -44,7 +44,7 @@ class Diagnosis:
         versions: of sylpose, Python, OpenCV's packages and all modules that are needed.
         problems: sentences about what is broken and needed.
         warnings: sentences about what may be.
-        extras: by name: what of it is missing, empty where it is all there.
+        extras: by name: the requirements that are missing, none where it is all there.
     """
 
     facts: dict[str, str] = field(default_factory=dict)
@@ -74,7 +74,7 @@ def doctor_aloud(*, as_json: bool = False, compile_first: bool = False) -> list[
     for label, value in found.facts.items():
         print(f"{label:{LABEL}}{value}")
     for k, (name, missing) in enumerate(found.extras.items()):
-        said = f"python -m pip install 'sylpose[{name}]' brings {', '.join(missing)}" if missing else "there"
+        said = f"python -m pip install {' '.join(map(repr, missing))}" if missing else "there"
         print(f"{'' if k else 'Extras':{LABEL}}{name}: {said}")
     for warning in found.warnings:
         print(f"! {warning}")
@@ -219,7 +219,7 @@ def _look_at_kernels(found: Diagnosis) -> None:
     announced()  # the line below says it
     folder, done = kept_in(), is_compiled()
     where = "nowhere: no folder can be written" if folder is None else f"in {place_of(folder)}"
-    found.facts["Compiled code"] = f"{'there' if done else 'not there yet'}; kept {where}"
+    found.facts["Compiled code"] = f"{'there' if done else 'not there yet'}; what is compiled is kept {where}"
     if folder is None and not done:
         found.warnings.append(
             f"what is compiled can be kept nowhere, so that every start takes one to two minutes: {CHOSEN}=FOLDER names a "
@@ -247,4 +247,4 @@ def _look_at_extras(found: Diagnosis) -> None:
             missing = found.extras.setdefault(extra, [])
             there = _version(requirement.name)
             if there is None or not requirement.specifier.contains(there, prereleases=True):
-                missing.append(requirement.name)
+                missing.append(f"{requirement.name}{requirement.specifier}")

@@ -60,7 +60,9 @@ def _of_the_user() -> Iterator[Path]:
         yield caches / "sylpose"
     with suppress(OSError):  # there may be none
         user = str(os.getuid()) if hasattr(os, "getuid") else "user"  # Windows: the folder is the user's own
-        yield Path(tempfile.gettempdir()) / f"sylpose-{user}"
+        folder = Path(tempfile.gettempdir())
+        if folder != Path.cwd():  # what Python takes where there is none: the user's data
+            yield folder / f"sylpose-{user}"
 
 
 def _caches() -> Path | None:
