@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo demo-network test test-slow lint format bench bench-tracking bench-paper clean
+.PHONY: demo demo-network test test-slow lint format bench bench-tracking bench-paper docs gallery clean
 
 # The package's own file has the version.
 $(VENV)/.installed: pyproject.toml src/sylpose/__init__.py
@@ -18,6 +18,10 @@ $(VENV)/.installed-dev: $(VENV)/.installed
 
 $(VENV)/.installed-bench: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	touch $@
 
 demo: $(VENV)/.installed
@@ -59,9 +63,17 @@ bench-paper: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/consensus.py --seeds 2
 	$(BIN)/python benchmarks/sensors.py --scenes 20 --turns 10
 
+# The documentation as a site, in site/index.html. It stops at a link that leads nowhere.
+docs: $(VENV)/.installed-docs
+	$(BIN)/python -m pages.build --out site
+
+# The gallery's pictures and its page, from scenes that are rendered and tracked: some minutes.
+gallery: $(VENV)/.installed
+	$(BIN)/python -m pages.gallery
+
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) demo demo-network .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo demo-network site .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -19,7 +19,7 @@ MOST = 250_000
 
 def text_of(outputs: list[dict[str, Any]]) -> str:
     """What is shown as text, spaces aside; numbers as such."""
-    said = []
+    said: list[str] = []
     for output in outputs:
         data = output.get("data", {"text/plain": output.get("text", [])})
         said += data["text/plain"] if not any(kind.startswith("image/") for kind in data) else ["a picture"]
