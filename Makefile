@@ -2,26 +2,33 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+# What touches cv2: OpenCV 4 and 5 are asked alike.
+OPENCV_TESTS := tests/calibration tests/capture tests/features tests/report tests/simulate tests/test_rig.py
 
-.PHONY: demo demo-network test test-slow lint format bench bench-tracking bench-paper docs gallery clean
+.PHONY: demo demo-network test test-slow test-opencv4 test-opencv5 browser web lint format dist bench bench-tracking bench-paper docs gallery clean
 
 # The package's own file has the version.
 $(VENV)/.installed: pyproject.toml src/sylpose/__init__.py
 	$(PYTHON) -c 'import sys; sys.exit("sylpose needs Python 3.11 or newer; set PYTHON=...") if sys.version_info < (3, 11) else None'
+	@echo "Setting up $(VENV): pip brings NumPy, Numba, OpenCV and others, some 200 MB, once."
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(PIP) install --editable .
 	touch $@
 
+# Python 3.11 came with a pip that knows no groups yet.
 $(VENV)/.installed-dev: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(PIP) install --quiet --upgrade 'pip>=25.1'
+	$(PIP) install --quiet --editable . --group dev
 	touch $@
 
 $(VENV)/.installed-bench: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	$(PIP) install --quiet --editable '.[bench]'
 	touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	$(PIP) install --quiet --upgrade 'pip>=25.1'
+	$(PIP) install --quiet --editable . --group docs
 	touch $@
 
 demo: $(VENV)/.installed
@@ -33,13 +40,48 @@ demo-network: $(VENV)/.installed-dev
 
 # Small matrices gain nothing from several threads, which would get into each other's way beside several workers.
 test: export OPENBLAS_NUM_THREADS = 1
-test: lint
+test: lint browser
 	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
 # What processes of their own do beside each other, which takes minutes and a machine that has time for it.
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow
+
+# For the tests of pages: Debian's, where we may install it; elsewhere these tests are skipped.
+CHROMIUM := chromium-headless-shell
+browser:
+	@test -x /usr/bin/$(CHROMIUM) || ! command -v apt-get > /dev/null || test "$$(id -u)" != 0 \
+		|| { apt-get update -qq && apt-get install -y -qq --no-install-recommends $(CHROMIUM); } \
+		|| echo "$(CHROMIUM) could not be installed: the tests of pages have no browser" >&2
+
+# The script of report.html, which is committed, from its sources; with Node.js and npm (web/README.md).
+web:
+	cd web && npm ci --no-audit --no-fund && npm run build
+
+# With the newest OpenCV of another generation than the one in $(VENV), in an environment of its own.
+define test-opencv
+	test -x $(VENV)-opencv$(1)/bin/python || $(PYTHON) -m venv $(VENV)-opencv$(1)
+	$(VENV)-opencv$(1)/bin/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
+	$(VENV)-opencv$(1)/bin/python -m pip install --quiet --editable . --group dev 'opencv-python-headless==$(1).*'
+	OPENBLAS_NUM_THREADS=1 NUMBA_CACHE_DIR=$(VENV)-opencv$(1)/kernels $(VENV)-opencv$(1)/bin/python -m pytest -n auto \
+		--dist loadfile $(OPENCV_TESTS)
+endef
+
+test-opencv4:
+	$(call test-opencv,4)
+
+test-opencv5:
+	$(call test-opencv,5)
+
+# Wheel and sdist in dist/: what is in them, and whether they work where there is no checkout.
+dist: $(VENV)/.installed-dev
+	$(PIP) install --quiet --group dist
+	rm -rf dist
+	$(BIN)/python -m build
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/check-wheel-contents dist/*.whl
+	$(BIN)/python -m tests.installed dist
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -76,4 +118,4 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) demo demo-network site .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(VENV)-opencv4 $(VENV)-opencv5 dist web/node_modules demo demo-network site .pytest_cache .mypy_cache .ruff_cache .hypothesis

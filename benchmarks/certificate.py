@@ -142,7 +142,7 @@ def row(name: str, costs: Costs, starts: int, repeat: int, F: FloatArray) -> boo
         f"{int(better.sum())} | {batch:.0f} | {np.median(alone):.0f}, {np.percentile(alone, 99):.0f} |",
         flush=True,
     )
-    return not false and ours >= 0.95 * theirs and (batch <= 100 or found.certified.mean() < 0.5)
+    return not false and ours >= 0.95 * theirs and (batch <= 100 or float(found.certified.mean()) < 0.5)
 
 
 def main() -> None:

@@ -123,7 +123,7 @@ def by_rig(seeds: int) -> None:
                 certified += problem[2].certified
                 local += not best
                 rounds.append(found.rounds)
-                sent.append(found.sent.max())
+                sent.append(int(found.sent.max()))
                 if best:
                     to.append(rounds_to(problem, bound=300))
             near = spread(to) if to else "-"
@@ -278,7 +278,7 @@ def by_bad_camera(seeds: int) -> None:
                 named += bool(of) and set(found.faults) == set(s.bad)
                 apart = max(apart, float(np.linalg.norm(found.rotations - expected.rotation, axis=(1, 2)).max()))
                 rounds.append(found.rounds)
-                sent.append(found.sent.max())
+                sent.append(int(found.sent.max()))
             cells = f"{same}/{4 * seeds} | {named} | {apart / np.sqrt(2):.0e} | {spread(rounds)} | {spread(sent)}"
             print(f"| {label} | {name} | {cells} |", flush=True)
 
@@ -298,7 +298,7 @@ def by_turn(seeds: int) -> None:
                 same += found.status is expected.status and not found.faults and not any(expected.faults)
                 apart = max(apart, float(np.linalg.norm(found.rotations - expected.rotation, axis=(1, 2)).max()))
                 rounds.append(found.rounds)
-                sent.append(found.sent.max())
+                sent.append(int(found.sent.max()))
             cells = f"{calls} of {20 * seeds} | {same} | {apart / np.sqrt(2):.0e} | {spread(rounds)} | {spread(sent)}"
             print(f"| {n} | {turn:g} | {cells} |", flush=True)
 
@@ -335,7 +335,7 @@ def by_liar(seeds: int) -> None:
                 worst = max(worst, float(np.linalg.norm(R - reference.rotation, axis=(1, 2)).max()))
                 wide = max(wide, float(np.linalg.norm(R - R[0], axis=(1, 2)).max()))
                 rounds.append(found.rounds)
-                sent.append(found.sent[good].max())
+                sent.append(int(found.sent[good].max()))
             cells = f"{named}/{4 * seeds} | {worst:.0e} | {wide:.0e} | {apart} | {spread(rounds)} | {spread(sent)}"
             print(f"| {n}, {n_liars} | {kind} | {cells} |", flush=True)
 
@@ -366,7 +366,7 @@ def by_graph(seeds: int) -> None:
                     ok += found.status is Status.OK
                     worst = max(worst, error(found, reference, range(n)))
                     rounds.append(found.rounds)
-                    sent.append(found.sent.max())
+                    sent.append(int(found.sent.max()))
                 total = f"{ok}/{len(rounds)}"
                 print(f"| {name} | {n} | {loss:.0%} | {total} | {worst:.0e} | {spread(rounds)} | {max(sent):,} |")
 

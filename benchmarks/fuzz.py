@@ -33,9 +33,12 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from benchmarks.fuzz_calibrations import SAMPLES, Sample
 from sylpose import __version__, calibration
 from sylpose.app.checkpoint import CHECKPOINT, FORMAT, load_checkpoint
 from sylpose.app.encoding import encoded
+from sylpose.app.pixel_files import load_pixels
+from sylpose.app.point_files import load_points
 from sylpose.app.state import FUNCTIONS, KINDS, OutputState, RunState
 from sylpose.app.tracks import _FRAME, FrameFile
 from sylpose.archive.recordings import Options, find_recordings
@@ -84,7 +87,10 @@ SIZE = (64, 48)
 BATCH = 1000
 # Bytes of a case: above what calibrations and settings may have; of tables, which may be large, for the time.
 LARGEST, LARGEST_TABLE = 1_200_000, 200_000
-TABLES = ("manifest", "manifest, csv", "time stamps", "trajectory.csv", "trajectory.tum")
+TABLES = (
+    *("manifest", "manifest, csv", "time stamps", "trajectory.csv", "trajectory.tum"),
+    *("points, csv", "points, ply", "points, binary", "points, obj", "pixels", "deeplabcut"),
+)
 RIG: Rig = ring(3, size=SIZE)
 IMAGES = (".png", ".jpg", ".tif", ".bmp", ".webp", ".ppm", ".jp2")
 # What numbers, words and values are replaced by.
@@ -183,7 +189,16 @@ def kinds() -> dict[str, Kind]:
         "time stamps": Kind("timestamps.csv", (STAMPS,), partial(load_timestamps, cameras=RIG.names)),
         "trajectory.csv": Kind("trajectory.csv", (table,), read_trajectory),
         "trajectory.tum": Kind("trajectory.tum", (tum,), read_tum),
+        "points, csv": Kind("points.csv", (POINTS,), load_points),
+        "points, toml": Kind("points.toml", (NAMED, MARKERS), load_points),
+        "points, ply": Kind("points.ply", (PLY,), load_points),
+        "points, binary": Kind("points.ply", (PLY_BINARY,), load_points, text=False),
+        "points, obj": Kind("points.obj", (OBJ,), load_points),
+        "pixels": Kind("pixels.csv", (PIXELS,), _pixels),
+        "deeplabcut": Kind("cam_0DLC.csv", (DEEPLABCUT,), _pixels),
     }
+    for name, sample in SAMPLES.items():
+        found[name] = Kind(sample.name, sample.whole, partial(_with_others, sample=sample), sample.text)
     rng = np.random.default_rng(0)
     pictures = [rng.integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8), np.zeros((SIZE[1], SIZE[0], 3), np.uint8)]
     for suffix in IMAGES:
@@ -233,7 +248,8 @@ def verdict(kind: Kind, file: Path) -> Verdict:
         word, said = "result", ""
     except (ValueError, OSError) as error:
         word, said = "sentence", str(error)
-        if type(error).__name__ == "LinAlgError" or "numpy" in said:
+        # Pickles may name what they want of NumPy.
+        if type(error).__name__ == "LinAlgError" or ("numpy" in said and "a pickle that wants" not in said):
             word = "not a sentence"
         elif isinstance(error, ValueError) or not error.filename:
             if (
@@ -400,6 +416,14 @@ def _trajectory(folder: Path) -> tuple[bytes, bytes]:
     return (folder / "trajectory.csv").read_bytes(), (folder / "trajectory.tum").read_bytes()
 
 
+def _with_others(file: Path, sample: Sample) -> object:
+    """A calibration of several files, of which one is changed."""
+    for name, content in sample.beside.items():
+        if name != file.name:
+            (file.parent / name).write_bytes(content)
+    return calibration.load(file, lambda names: dict.fromkeys(names, SIZE))
+
+
 def _image(file: Path) -> object:
     image_size(file)
     return read_image(file, SIZE)
@@ -408,6 +432,10 @@ def _image(file: Path) -> object:
 def _live(file: Path) -> object:
     calibration.save(RIG, file.parent / "rig.toml")
     return open_live(file)
+
+
+def _pixels(file: Path) -> object:
+    return load_pixels([file], RIG.names)
 
 
 def _manifest(file: Path) -> object:
@@ -515,6 +543,49 @@ MANIFEST = (
     b'[[recording]]\npath = "."\nname = "one"\nevery = 2\n[[recording]]\npath = "none"\nsmooth = false\nstart = 3\n'
 )
 LISTED = b"path,name,every,smooth\n.,one,2,\nnone,two,,true\n"
+POINTS = b'name,x,y,z\nnose,0.01,-0.02,0.5\nleft ear,1e-3,0,-1\n"right, ear",0,0,0\ntail,1,2,3\n'
+NAMED = b'unit = "mm"\n\n[points]\nnose = [0, 0, 12.5]\n"left ear" = [-3, 4.5, 1e1]\n'
+MARKERS = b"""unit = "mm"
+family = "apriltag:36h11"
+size = 40
+
+[markers.0]
+center = [0, 0, 25]
+x = [1, 0, 0]
+y = [0, 1, 0]
+
+[markers.7]
+corners = [[20, 25, -20], [20, 25, 20], [-20, 25, 20], [-20, 25, -20]]
+"""
+PLY = b"""ply
+format ascii 1.0
+comment by hand
+element vertex 3
+property float x
+property float y
+property double z
+property uchar red
+element face 1
+property list uchar int vertex_index
+end_header
+0 0 0 1
+1 0.5 0 2
+0 1 -1e-2 3
+3 0 1 2
+"""
+PLY_BINARY = b"ply\nformat binary_little_endian 1.0\nelement vertex 4\n" + b"".join(
+    b"property float %c\n" % axis for axis in b"xyz"
+)
+PLY_BINARY += b"end_header\n" + np.arange(12, dtype="<f4").tobytes()
+OBJ = b"# a mesh\no box\nv 0 0 0\nv 1.0 2 3e0 0.5 0.5 0.5\nvn 0 0 1\nv -1 0 0\nf 1/1/1 2/2/1 3\n"
+PIXELS = b"camera,frame,name,u,v,likelihood,time\n" + b"".join(
+    b"cam_%d,%d,p%d,%.2f,%.2f,0.9,%.3f\n" % (c, k, n, 10 + n, 20.5 + k, k / 30)
+    for k in range(3)
+    for c in range(3)
+    for n in range(4)
+)
+DEEPLABCUT = b"scorer,net,net,net,net,net,net\nbodyparts,a,a,a,b,b,b\ncoords,x,y,likelihood,x,y,likelihood\n"
+DEEPLABCUT += b"".join(b"%d,1.5,2,0.99,%d,4,0.1\n" % (k, k) for k in range(6))
 STAMPS = b"frame,cam_0,cam_1,cam_2\n" + b"".join(b"%d,%.3f,%.3f,\n" % (k, k / 30, k / 30 + 0.001) for k in range(9))
 # What a camera may tell of itself.
 SIGHTS = Sights(

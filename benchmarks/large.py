@@ -42,7 +42,9 @@ def take_of(seed: int, cameras: int, size: tuple[int, int]) -> Take:
     """A variation."""
     rng = np.random.default_rng(seed)
     rig, radius = rig_of(rng, cameras, size=size, share=float(rng.uniform(0.1, 0.5)))
-    path = moving(rng, 4.0 * np.arange(FRAMES), np.outer(np.arange(FRAMES), rng.uniform(-0.05, 0.05, 3)) * radius)
+    path = moving(
+        rng, 4.0 * np.arange(FRAMES, dtype=float), np.outer(np.arange(FRAMES), rng.uniform(-0.05, 0.05, 3)) * radius
+    )
     gone = RigidTransform.from_translation([0.0, -40.0 * radius, 0.0])
     actor = Actor(any_body(rng, rig, radius), lambda k: gone if round(k) in AWAY else path(k))
     scene = Scene(rig, (actor,), FRAMES, int(rng.integers(1 << 30)))

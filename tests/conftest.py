@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -13,6 +15,10 @@ from hypothesis import settings
 from matplotlib.figure import Figure
 
 from sylpose.simulate import demo_scene, write_sequence
+from tests.browser import launched
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 # The same examples in every run: what fails fails again. No deadline: machines are shared.
 settings.register_profile("seeded", derandomize=True, deadline=None)
@@ -37,13 +43,21 @@ def session(recording: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(recording, tmp_path / "session"))
 
 
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """For `tests.browser.opened`."""
+    with launched() as its:
+        yield its
+
+
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made but not drawn: their files are one pixel. Drawing takes as long as tracking a few frames does, and
-    tests/report looks at the drawn ones, as do runs in processes of their own."""
+    """Figures are made but not drawn: their files are one pixel; and pages have nothing in them. Drawing takes as long as
+    tracking a few frames does, and tests/report looks at what is drawn, as do runs in processes of their own."""
     pixel = cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].tobytes()
 
     def savefig(_: Figure, path: Path | str, **__: object) -> None:
         Path(path).write_bytes(pixel)
 
     monkeypatch.setattr(Figure, "savefig", savefig)
+    monkeypatch.setattr("sylpose.report.page.page_of", lambda *_: "")

@@ -268,7 +268,7 @@ def test_examples_of_help_are_understood() -> None:
             yield from all_of(inner)
 
     lines = [
-        line.split()[1:]
+        shlex.split(line)[1:]
         for command in all_of(typer.main.get_command(app))
         for line in (command.epilog or "").splitlines()
         if line.startswith("  sylpose ")
@@ -281,7 +281,7 @@ def test_examples_of_help_are_understood() -> None:
 def test_commands_in_sentences_exist() -> None:
     """`sylpose track SESSION --resume`, and `--options` by themselves."""
     root: Any = typer.main.get_command(app)
-    every = [*root.commands.values(), *root.commands["calibration"].commands.values()]
+    every = [*root.commands.values(), *(c for g in root.commands.values() for c in getattr(g, "commands", {}).values())]
     known = {name for command in (root, *every) for p in command.params for name in (*p.opts, *p.secondary_opts)}
     known |= {"--help"}
     for page in NAMES:

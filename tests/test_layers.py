@@ -28,6 +28,7 @@ NOUNS = {
     "view",
     "methods",
     "units",
+    "comparison",
 }
 PARTS = {"paper", "known_model", "features"}
 FILES = {"files"}  # for whoever writes any
@@ -40,12 +41,14 @@ ALLOWED: dict[str, set[str]] = {
     **dict.fromkeys(PARTS, NOUNS),
     "two_frames": NOUNS | {"paper"},
     "landmarks": NOUNS | {"features"},
+    "boards": NOUNS | {"known_model"},
     "adjustment": NOUNS | {"features", "known_model", "landmarks"},
     "tracking": NOUNS | PARTS | {"two_frames", "landmarks", "adjustment"},
     "smoothing": NOUNS | PARTS | {"two_frames", "landmarks", "adjustment", "tracking"},
     "files": set(),
     "calibration": NOUNS | FILES,
     "report": NOUNS | FILES,
+    "exports": NOUNS | FILES | {"report"},
     "simulate": NOUNS | FILES | {"calibration"},
     "capture": NOUNS | {"calibration"},
     "sync": NOUNS | {"capture"},
@@ -55,7 +58,7 @@ ALLOWED: dict[str, set[str]] = {
     "archive": {""} | NOUNS | {"calibration", "capture", "sync", "report", "simulate", "app"},
 }
 # Where images are worked on, or read and written.
-SEES_IMAGES = {"rig", "features", "tracking.region", "sync", "calibration", "capture", "report", "simulate"}
+SEES_IMAGES = {"rig", "features", "boards", "tracking.region", "sync", "calibration", "capture", "report", "simulate"}
 
 
 @cache
@@ -132,6 +135,7 @@ def test_no_estimator_reads_writes_or_simulates() -> None:
             "capture",
             "calibration",
             "report",
+            "exports",
             "sync",
             "simulate",
             "experiments",

@@ -24,6 +24,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sylpose.app.object_files import load_object, save_object
     from sylpose.app.run import Run, track_session
+    from sylpose.boards.location import Sighting, find_board
+    from sylpose.boards.specification import Board, parse_board
+    from sylpose.calibration.world import World, load_world, world_with_up
     from sylpose.capture import Session, Source, Timeline, open_session
     from sylpose.capture.live import LiveSession, open_live
     from sylpose.capture.streams import Device, Grab
@@ -55,7 +58,7 @@ if TYPE_CHECKING:
     from sylpose.rig import Camera, Rig
     from sylpose.tracking.frame import Sought
     from sylpose.tracking.joint import Nudge
-    from sylpose.tracking.known_object import KnownObject
+    from sylpose.tracking.known_object import KnownObject, ObjectFrame
     from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
     from sylpose.tracking.tracker import track
     from sylpose.two_frames.motion import estimate_motion, estimate_motions
@@ -65,6 +68,7 @@ __version__ = "0.2.0"
 
 __all__ = [
     "Agreement",
+    "Board",
     "Box",
     "Camera",
     "CentralizedBatch",
@@ -85,6 +89,7 @@ __all__ = [
     "Motion",
     "MotionView",
     "Nudge",
+    "ObjectFrame",
     "Observable",
     "OneCameraSolution",
     "PairMoments",
@@ -94,6 +99,7 @@ __all__ = [
     "RotationView",
     "Run",
     "Session",
+    "Sighting",
     "Sightings",
     "SingularSylvesterError",
     "Sought",
@@ -102,12 +108,16 @@ __all__ = [
     "Timeline",
     "TrackedFrame",
     "Trajectory",
+    "World",
     "estimate_motion",
     "estimate_motions",
     "estimate_pose",
+    "find_board",
     "load_object",
+    "load_world",
     "open_live",
     "open_session",
+    "parse_board",
     "save_object",
     "solve_2d3d",
     "solve_3d3d",
@@ -127,11 +137,15 @@ __all__ = [
     "view_of_motion",
     "view_of_pose",
     "view_of_rotation",
+    "world_with_up",
 ]
 
 _HOMES = {
     "sylpose.app.object_files": ("load_object", "save_object"),
     "sylpose.app.run": ("Run", "track_session"),
+    "sylpose.boards.location": ("Sighting", "find_board"),
+    "sylpose.boards.specification": ("Board", "parse_board"),
+    "sylpose.calibration.world": ("World", "load_world", "world_with_up"),
     "sylpose.capture": ("Session", "Source", "Timeline", "open_session"),
     "sylpose.capture.live": ("LiveSession", "open_live"),
     "sylpose.capture.streams": ("Device", "Grab"),
@@ -160,7 +174,7 @@ _HOMES = {
     "sylpose.results": ("FramePose", "FrameStatus", "Motion", "Observable", "RotationEstimate", "Status", "Trajectory"),
     "sylpose.rig": ("Camera", "Rig"),
     "sylpose.tracking.joint": ("Nudge",),
-    "sylpose.tracking.known_object": ("KnownObject",),
+    "sylpose.tracking.known_object": ("KnownObject", "ObjectFrame"),
     "sylpose.tracking.frame": ("Sought",),
     "sylpose.tracking.tracked_frame": ("Sightings", "TrackedFrame"),
     "sylpose.tracking.tracker": ("track",),

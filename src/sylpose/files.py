@@ -7,11 +7,11 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["beside", "output_folder", "replacing", "toml_key", "toml_string", "writing"]
+__all__ = ["beside", "boxes_toml", "output_folder", "replacing", "toml_key", "toml_string", "writing"]
 
 
 @contextmanager
@@ -91,3 +91,18 @@ def toml_string(text: str) -> str:
 def toml_key(name: str) -> str:
     """A name before an equals sign or in a table's head."""
     return name if re.fullmatch("[A-Za-z0-9_-]+", name) else toml_string(name)
+
+
+def boxes_toml(boxes: Mapping[str, Mapping[str, Sequence[float]]]) -> str:
+    """boxes.toml (docs/formats.md#boxestoml).
+
+    Args:
+        boxes: x, y, width, height in pixels, by object and camera; an object "" has no table, and is the only one.
+    """
+    lines = ["# Boxes of the object in the first frame, pixels: x, y, width, height."]
+    for name, its in boxes.items():
+        lines += [f"\n[{toml_key(name)}]"] if name else []
+        for camera, box in its.items():
+            values = ", ".join(str(int(value)) if value == int(value) else repr(float(value)) for value in box)
+            lines.append(f"{toml_key(camera)} = [{values}]")
+    return "\n".join(lines) + "\n"

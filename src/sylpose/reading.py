@@ -6,6 +6,7 @@ length, and has no control characters of the file in it (SECURITY.md).
 
 from __future__ import annotations
 
+import codecs
 import csv
 import os
 import re
@@ -15,7 +16,7 @@ import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 __all__ = [
     "MAX_DEPTH",
@@ -26,6 +27,7 @@ __all__ = [
     "bytes_of",
     "one_line",
     "parsed_toml",
+    "regular_file",
     "resolved",
     "text_of",
     "told",
@@ -91,19 +93,34 @@ def bytes_of(path: Path, limit: int = MAX_TEXT) -> bytes:
         OSError: it is not there or cannot be read.
         Unreadable: it is no file but a pipe, a device or a folder; or larger than `limit` bytes.
     """
-    with told(path):
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise ValueError("a file is expected, not a folder, a pipe or a device")
-        with path.open("rb") as file:
-            data = file.read(limit + 1)
+    with told(path), regular_file(path, limit) as file:
+        data = file.read(limit + 1)
         if len(data) > limit:
-            raise ValueError(f"{max(status.st_size, len(data))} bytes, more than the {limit} that such a file may have")
+            raise ValueError(_too_long(len(data), limit))
         return data
 
 
+def regular_file(path: Path, limit: int) -> BinaryIO:
+    """A file, opened.
+
+    Raises:
+        OSError: as `bytes_of`.
+        ValueError: it is no file, or larger than `limit` bytes. For `told`.
+    """
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise ValueError("a file is expected, not a folder, a pipe or a device")
+    if status.st_size > limit:
+        raise ValueError(_too_long(status.st_size, limit))
+    return path.open("rb")
+
+
+def _too_long(size: int, limit: int) -> str:
+    return f"{size} bytes, more than the {limit} that such a file may have"
+
+
 def text_of(path: Path, limit: int = MAX_TEXT) -> str:
-    """The content of a text file, UTF-8 with or without its mark.
+    """The content of a text file, UTF-8 with or without its mark; of XML UTF-16 with it, too.
 
     Raises:
         OSError, Unreadable: as `bytes_of`; it is no text, or has a number of more than 308 digits.
@@ -111,7 +128,7 @@ def text_of(path: Path, limit: int = MAX_TEXT) -> str:
     data = bytes_of(path, limit)
     with told(path):
         try:
-            text = data.decode("utf-8-sig")
+            text = data.decode("utf-16" if data.startswith(_UTF16) else "utf-8-sig")
         except UnicodeDecodeError:
             raise ValueError("not text in UTF-8") from None
         if _DIGITS.search(text):
@@ -138,6 +155,7 @@ def resolved(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+_UTF16 = (codecs.BOM_UTF16_LE + b"<\0", codecs.BOM_UTF16_BE + b"\0<")
 # Unicode's classes of control characters, marks that turn the direction of writing, halves of characters, line ends, and
 # what has no meaning.
 _STEERING = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})

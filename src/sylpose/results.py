@@ -13,7 +13,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.checked import kind_of, listed
-from sylpose.numerics.matrices import covariance_of
+from sylpose.numerics.matrices import carried, covariance_of
+from sylpose.rig import single_pose
 from sylpose.statuses import FrameStatus, Observable, Status
 from sylpose.told import Telling, Told, inliers_told, length, lengths, named, place_told, spread, turned, vector
 
@@ -210,6 +211,22 @@ class FramePose(Told):
             return replace(self, status=FrameStatus.UNCERTAIN)
         return replace(self, status=FrameStatus.TRACKED) if self.status is FrameStatus.UNCERTAIN else self
 
+    def of_frame(self, new_from_object: RigidTransform) -> Self:
+        """The pose of another frame of the object: of its axes, and of the place of its origin.
+
+        Raises:
+            TypeError, ValueError: this is no single transform of finite values.
+        """
+        new_from_object = single_pose(new_from_object, "new_from_object")
+        before = self.world_from_object
+        if before is None:
+            return self
+        after = before * new_from_object.inv()
+        # An error of the turn moves an origin elsewhere: d + w x r.
+        by, (x, y, z) = np.eye(6), after.translation - before.translation
+        by[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        return replace(self, world_from_object=after, covariance=carried(self.covariance, by))
+
     @property
     def sigma(self) -> FloatArray:
         """(6,) standard deviations: rotation about the world's x, y, z (radians), then position x, y, z."""
@@ -293,12 +310,13 @@ class Trajectory(Told):
     @property
     def turn(self) -> FloatArray:
         """(N,) angle turned since the first solved frame, radians in [0, pi]; NaN where there is no pose."""
-        poses = [f.world_from_object for f in self.frames]
-        first = next((p for p in poses if p is not None), None)
-        if first is None:
-            return np.full(len(poses), np.nan)
-        back = first.rotation.inv()
-        return np.array([np.nan if p is None else (p.rotation * back).magnitude() for p in poses])
+        turns = np.full(len(self), np.nan)
+        rows = [k for k, frame in enumerate(self.frames) if frame.world_from_object is not None]
+        poses = [pose for frame in self.frames if (pose := frame.world_from_object) is not None]
+        if poses:
+            turned = Rotation.from_quat([pose.rotation.as_quat() for pose in poses])
+            turns[rows] = (turned * poses[0].rotation.inv()).magnitude()
+        return turns
 
     def _told(self) -> Telling:
         found = [f for f in self if f.measured]

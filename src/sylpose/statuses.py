@@ -64,6 +64,9 @@ class FrameStatus(Enum):
     NO_MOTION = "no motion"
     NOT_CONSISTENT = "no consistent motion"
     ONLY_STILL = "only background"
+    FOUND = "found"
+    NOT_OBSERVABLE = "turn not observable"
+    NO_POSE = "no consistent pose"
 
     @property
     def text(self) -> str:
@@ -79,6 +82,7 @@ class FrameStatus(Enum):
             FrameStatus.RELOCALISED,
             FrameStatus.COASTING,
             FrameStatus.UNCERTAIN,
+            FrameStatus.FOUND,
         )
 
 
@@ -93,6 +97,9 @@ _FRAME_TEXTS = {
     FrameStatus.NO_MOTION: "Nothing moved yet that could be taken for the object: its pose is not known.",
     FrameStatus.ONLY_STILL: "All that is seen stands still and was never seen to move: it may be the background, and what "
     "moved before is not seen. The object's pose is not known.",
+    FrameStatus.FOUND: "The pose was found in this frame by itself, from points known on the object.",
+    FrameStatus.NOT_OBSERVABLE: "How the object is turned cannot be told: other turns explain what is seen as well.",
+    FrameStatus.NO_POSE: "No single pose explains enough of what is seen.",
     FrameStatus.NOT_CONSISTENT: "What moved was no rigid body, or not for long: its pose is not known.",
 }
 

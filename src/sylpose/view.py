@@ -21,7 +21,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.numerics.arrays import FloatArray
 from sylpose.numerics.checked import finite, kind_of, real, shown
-from sylpose.numerics.matrices import checked_rotation, covariance_of
+from sylpose.numerics.matrices import carried, checked_rotation, covariance_of
 from sylpose.reading import one_line
 from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory, pan_tilt_roll
 from sylpose.rig import Camera, Rig, single_pose
@@ -246,18 +246,7 @@ def _check_pose(pose: FramePose, name: str) -> None:
 def _pose_from(pose: FramePose, camera_from_world: RigidTransform, turn: FloatArray, axes: RigidTransform) -> FramePose:
     """The pose seen from a camera, of an object whose own frame is changed by `axes`, object_from_its_new_frame."""
     seen = None if pose.world_from_object is None else camera_from_world * pose.world_from_object * axes
-    return replace(pose, world_from_object=seen, covariance=_turned(pose.covariance, turn))
-
-
-def _turned(covariance: FloatArray, turn: FloatArray) -> FloatArray:
-    """A covariance in turned axes; infinite variance stays what it is, on each new axis that has a part in it."""
-    unknown = ~np.isfinite(np.diag(covariance))
-    finite = np.where(unknown | unknown[:, None], 0.0, covariance)
-    out = turn @ finite @ turn.T
-    lost = (np.abs(turn[:, unknown]) > 1e-12).any(axis=1)
-    out[lost] = out[:, lost] = 0.0
-    out[lost, lost] = np.inf
-    return np.asarray(out)
+    return replace(pose, world_from_object=seen, covariance=carried(pose.covariance, turn))
 
 
 def _turn(camera_from_world: RigidTransform) -> FloatArray:

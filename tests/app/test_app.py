@@ -221,7 +221,7 @@ def test_live_cameras_are_tracked_to_their_end(session: Path, capsys: pytest.Cap
     out = session / "sylpose"
     # Whether enough is learnt for an object.npz depends on how many frames there is time for.
     assert {file.name for file in out.iterdir()} - {"object.npz", "object.ply"} == {
-        *("trajectory.tum", "trajectory.csv", "report.png", "overlay.mp4"),
+        *("trajectory.tum", "trajectory.csv", "report.png", "report.html", "overlay.mp4"),
         *("settings.toml", "calibration.used.toml"),
     }
     trajectory = read_trajectory(out / "trajectory.csv")

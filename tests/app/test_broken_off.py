@@ -136,7 +136,7 @@ def test_at_any_moment(
             run(opened, out, smooth, resume=True)
         assert texts(out) == whole[smooth], at
         left = {file.name for file in out.iterdir()}
-        assert left == {*whole[smooth], "report.png", SETTINGS, USED}, at
+        assert left == {*whole[smooth], "report.png", "report.html", SETTINGS, USED}, at
 
 
 def broken(session: Session, out: Path, smooth: bool) -> str:

@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import sylpose
 from sylpose.app import compiling
+from sylpose.app.text import make_console
+from sylpose.numerics import kernel_cache
+from sylpose.two_frames import robust_fit
 from sylpose.two_frames.warming import warm_up
 
 
 @pytest.fixture
 def elsewhere(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The parts that other processes are asked for."""
+    """The parts that other processes are asked for; what would be left then is not done."""
     asked: list[str] = []
     monkeypatch.setattr(compiling, "_compiled_elsewhere", asked.append)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+    monkeypatch.setattr(compiling, "cores", lambda: 2)
     return asked
+
+
+@pytest.fixture
+def installed(elsewhere: list[str], monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """As after an installation: nothing is there, if no part has been compiled."""
+    monkeypatch.setattr(compiling, "is_compiled", lambda: len(elsewhere) > 0)
+    return elsewhere
 
 
 def test_what_is_compiled_is_not_compiled_again(elsewhere: list[str]) -> None:
@@ -29,25 +40,60 @@ def test_what_is_compiled_is_not_compiled_again(elsewhere: list[str]) -> None:
     assert not elsewhere
 
 
-def test_after_an_installation_each_part_is_compiled_once(
-    elsewhere: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+def test_what_is_of_other_sources_or_another_processor_is_not_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    warm_up()
+    with monkeypatch.context() as other:
+        other.setattr(kernel_cache, "digest", lambda _: "of other sources")
+        assert not compiling.is_compiled()
+    kernel: Any = robust_fit.robust_fit
+    monkeypatch.setattr(type(kernel.targetctx.codegen()), "magic_tuple", lambda _: ("another", "processor", ""))
     assert not compiling.is_compiled()
+
+
+def test_after_an_installation_each_part_is_compiled_once(installed: list[str]) -> None:
+    seconds: list[float] = []
+    compiling.compile_all(seconds.append)
+    assert sorted(installed) == sorted(compiling.PARTS)
+    assert sum(seconds) == pytest.approx(compiling.TOTAL)
     compiling.compile_all()
-    assert sorted(elsewhere) == sorted(compiling.PARTS)
-    # What numba keeps there is found.
-    (tmp_path / "two_frames_1").mkdir()
-    (tmp_path / "two_frames_1" / "robust_fit.robust_fit-58.py311.nbi").touch()
-    assert compiling.is_compiled()
+    assert len(installed) == len(compiling.PARTS)
 
 
-def test_where_nothing_can_be_kept_no_process_is_started(
-    elsewhere: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_where_nothing_can_be_kept_no_process_is_started(installed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiling, "kept_in", lambda: None)
+    compiling.compile_all()
+    assert not installed
+
+
+def test_one_core_compiles_in_one_process(installed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[str] = []
+    monkeypatch.setattr(compiling, "cores", lambda: 1)
+    monkeypatch.setattr(compiling, "PARTS", {"a": (1.0, lambda: ran.append("a")), "b": (2.0, lambda: ran.append("b"))})
+    seconds: list[float] = []
+    compiling.compile_all(seconds.append)
+    assert (ran, seconds, installed) == (["a", "b"], [1.0, 2.0, compiling.REST], [])
+
+
+@pytest.mark.parametrize("kept", [True, False])
+@pytest.mark.usefixtures("installed")
+def test_it_is_said_that_it_compiles_for_how_long_and_where_it_is_kept(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kept: bool
 ) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "missing"))
-    compiling.compile_all()
-    assert not elsewhere
+    if not kept:
+        monkeypatch.setattr(compiling, "kept_in", lambda: None)
+    compiling.compile_aloud(make_console())
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith("Compiling for one to two minutes, ")
+    wanted = f"after an installation or an update; kept in {Path(sylpose.__file__).parent}."
+    if not kept:
+        wanted = "at every start; no folder can be written to keep it in, NUMBA_CACHE_DIR=FOLDER names one."
+    assert line.endswith(wanted)
+
+
+def test_nothing_is_said_where_it_has_been_done(capsys: pytest.CaptureFixture[str]) -> None:
+    warm_up()
+    compiling.compile_aloud(make_console())
+    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize("part", sorted(compiling.PARTS))

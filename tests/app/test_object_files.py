@@ -19,70 +19,15 @@ from sylpose.app.object_files import CLOUD, OBJECT, known_objects, load_object, 
 from sylpose.app.run import track_session
 from sylpose.capture import open_session
 from sylpose.cli import main
-from sylpose.report.files import read_trajectory
-from sylpose.results import FramePose, Observable
+from sylpose.results import Observable
 from sylpose.rig import Rig
-from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
-from sylpose.tracking.known_object import KnownObject, check_rig
+from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
+from sylpose.tracking.known_here import known_here
+from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.tracker import Tracker
+from tests.takes import NEXT, RIG, Path_, elsewhere, errors, recorded, slide
 
 pytestmark = pytest.mark.usefixtures("undrawn")
-
-Path_ = Callable[[float], RigidTransform]
-RIG = arc(4, 35, 1.5, 500, (480, 360), height=0.4)
-# Frames of the first take and of the others.
-FIRST, NEXT = 50, 14
-
-
-def learning(k: float) -> RigidTransform:
-    """To and fro, turning by 80 degrees."""
-    turn = Rotation.from_rotvec(0.03 * (k + 2 * np.sin(k / 4)) * np.array([0.3, 0.9, 0.3]))
-    return RigidTransform.from_components([0.05 * np.sin(k / 9), 0.03 * np.sin(k / 8), 0.04 * np.sin(k / 11)], turn)
-
-
-def elsewhere(k: float) -> RigidTransform:
-    """Begins 20 degrees and 7 cm away, and turns about another axis."""
-    start = Rotation.from_rotvec([0.1, 0.35, -0.05])
-    turn = Rotation.from_rotvec(0.025 * k * np.array([0.8, 0.5, -0.2])) * start
-    return RigidTransform.from_components([0.06 - 0.004 * k, 0.03, 0.02 * np.sin(k / 6)], turn)
-
-
-def slide(k: float) -> RigidTransform:
-    """Does not turn at all."""
-    return RigidTransform.from_components([0.05 - 0.008 * k, 0.02, 0.003 * k], Rotation.from_rotvec([0.1, 0.3, 0.0]))
-
-
-def recorded(folder: Path, path: Path_, frames: int, *, seed: int = 0) -> Path:
-    write_recording(Recording(Scene(RIG, (Actor(chamfered_box([0.3, 0.22, 0.26], 300), path),), frames, seed)), folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording with its results in it."""
-    folder = recorded(tmp_path_factory.mktemp("first") / "take", learning, FIRST)
-    track_session(open_session(folder), overlay=False)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def known(first: Path) -> KnownObject:
-    return load_object(first / "sylpose" / OBJECT)
-
-
-@pytest.fixture(scope="module")
-def actor_from_object(first: Path) -> RigidTransform:
-    """The frame that the object got in the first take, by its first pose, which is right by definition."""
-    pose = next(p for p in read_trajectory(first / "sylpose" / "trajectory.csv") if p.world_from_object is not None)
-    assert pose.world_from_object is not None
-    return learning(pose.index).inv() * pose.world_from_object
-
-
-def errors(pose: FramePose, true: RigidTransform) -> np.ndarray:
-    """(6,) of (w, d)."""
-    assert pose.world_from_object is not None
-    turn = (pose.world_from_object.rotation * true.rotation.inv()).as_rotvec()
-    return np.concatenate([turn, pose.world_from_object.translation - true.translation])
 
 
 @pytest.mark.parametrize("path", [elsewhere, slide])
@@ -203,18 +148,18 @@ def test_an_object_that_does_not_come_is_not_found(tmp_path: Path, known: KnownO
 
 
 def test_other_cameras_units_and_places_are_said(known: KnownObject) -> None:
-    check_rig(known, RIG)
-    check_rig(known, RIG.subset(["cam_0", "cam_2"]))
+    known_here(known, RIG)
+    known_here(known, RIG.subset(["cam_0", "cam_2"]))
     with pytest.raises(ValueError, match="its lengths are in m, those of the calibration in mm"):
-        check_rig(known, Rig(RIG.cameras, "mm"))
+        known_here(known, Rig(RIG.cameras, "mm"))
     with pytest.raises(ValueError, match=r"it was seen by cam_0, .*, and the calibration has none of these \(a, b\)"):
-        check_rig(known, Rig([replace(c, name=n) for c, n in zip(RIG.cameras, "ab", strict=False)], "m"))
+        known_here(known, Rig([replace(c, name=n) for c, n in zip(RIG.cameras, "ab", strict=False)], "m"))
     turned = RigidTransform.from_rotation(Rotation.from_rotvec([0, 0.1, 0])) * RIG.cameras[1].camera_from_world
     moved = [*RIG.cameras[:1], replace(RIG.cameras[1], camera_from_world=turned), *RIG.cameras[2:]]
     with pytest.raises(ValueError, match=r"cam_1 is another camera than the one that saw it, or stands elsewhere"):
-        check_rig(known, Rig(moved, "m"))
+        known_here(known, Rig(moved, "m"))
     little = RigidTransform.from_rotation(Rotation.from_rotvec([0, 0.002, 0])) * RIG.cameras[1].camera_from_world
-    check_rig(known, Rig([*RIG.cameras[:1], replace(RIG.cameras[1], camera_from_world=little), *RIG.cameras[2:]], "m"))
+    known_here(known, Rig([*RIG.cameras[:1], replace(RIG.cameras[1], camera_from_world=little), *RIG.cameras[2:]], "m"))
 
 
 def test_cameras_that_are_calibrated_anew_make_poses_less_certain(

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import pytest
 
+from sylpose.app.machine import cores, memory_of_machine
 from sylpose.archive import run, stores
 from sylpose.archive.claims import claimed, process_lives
 from sylpose.archive.contract import How, Summary
-from sylpose.archive.processes import Processes, cores, default_jobs, memory_of_machine
+from sylpose.archive.processes import Processes, default_jobs
 from sylpose.archive.recordings import Recording
 from sylpose.archive.run import Died, run_all, shard_of
 from sylpose.archive.stores import Place, place

@@ -546,7 +546,7 @@ def test_bad_toml(bad: str, tmp_path: Path) -> None:
         ("a.yml", "cam_0: &a\n  K: 1\ncam_1: *a\n", "YAML's aliases"),
         ("a.yml", "", "not a calibration of a known format"),
         ("a.xml", "<opencv_storage><a>", "not valid XML"),
-        ("a.xml", "<html></html>", "not OpenCV's XML"),
+        ("a.xml", "<html></html>", "not a calibration of a known format"),
         ("a.txt", "hello there", "not a calibration of a known format; known are sylpose, Anipose and Caliscope TOML"),
     ],
 )
@@ -602,3 +602,81 @@ def test_find_two(tmp_path: Path) -> None:
 def test_find_no_folder(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="nowhere: no such folder"):
         calibration.find(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("camchain.yaml", "results-camchain.yaml", "take.qca.txt", "Trial.xcp", "system.mcal", "transforms.json"),
+        *("intri.yml", "intrinsics.yml", "stereo_params.pickle", "camera1.Pmat.cal", "rig_config.json"),
+    ],
+)
+def test_find_as_programs_call_theirs(name: str, tmp_path: Path) -> None:
+    for other in (
+        "boxes.toml",
+        "timestamps.csv",
+        "cam_0.mp4",
+        "extri.yml",
+        "extrinsics.yml",
+        "camera2.Pmat.cal",
+        "cameras.txt",
+    ):
+        write(tmp_path / other, "")
+    write(tmp_path / name, "")
+    assert calibration.find(tmp_path) == tmp_path / name
+    write(tmp_path / "calibration.toml", "")
+    assert calibration.find(tmp_path) == tmp_path / "calibration.toml"
+
+
+@pytest.mark.parametrize("name", ["calibration", "calib_2024", "sparse/0"])
+def test_find_folders(name: str, tmp_path: Path) -> None:
+    rig = random_rig()
+    (tmp_path / "calibration_images").mkdir()  # nothing that could be a calibration in it
+    write(tmp_path / "calibration_images" / "0.png", "")
+    (tmp_path / name).mkdir(parents=True)
+    calibration.save(rig, tmp_path / name / "calibration.toml")
+    assert calibration.find(tmp_path) == tmp_path / name
+    assert_same(rig, calibration.load(tmp_path / name))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("stereoParams.mat", r"a Matlab file, which is not read; write stereoParams as JSON"),
+        ("system.cal", r"a \.cal is not read; of OptiTrack, \.mcal is"),
+        ("calibration.csv", "a table is not read as a calibration"),
+        ("stereo.npz", "NumPy's arrays are not read"),
+    ],
+)
+def test_programs_whose_files_are_read_in_another_form(name: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"\x93\xff\x00")
+    with pytest.raises(ValueError, match=rf"{name}: {message}"):
+        calibration.load(tmp_path / name)
+
+
+def test_the_known_formats_are_said_whole(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"known are sylpose, .* NeRF and DeepLabCut$"):
+        calibration.load(write(tmp_path / "a.txt", "hello there"))
+
+
+def test_folders_with_several(tmp_path: Path) -> None:
+    for name in ("calib_a.toml", "calib_b.toml"):
+        calibration.save(random_rig(), tmp_path / name)
+    with pytest.raises(ValueError, match=r"calib_a\.toml, calib_b\.toml; say which one to use"):
+        calibration.load(tmp_path)
+
+
+def test_folders_without_a_calibration(tmp_path: Path) -> None:
+    write(tmp_path / "notes.txt", "")
+    with pytest.raises(ValueError, match="no calibration of a known format in this folder; known are sylpose"):
+        calibration.load(tmp_path)
+
+
+def test_format_of(tmp_path: Path) -> None:
+    for name, text, format_ in (
+        ("a.toml", ANIPOSE, "Anipose TOML"),
+        ("a.toml", CALISCOPE, "Caliscope TOML"),
+        ("a.toml", OWN, "sylpose TOML"),
+        ("a.yml", next(iter(STORAGE.values())), "OpenCV FileStorage"),
+    ):
+        assert calibration.format_of(write(tmp_path / name, text)) == format_

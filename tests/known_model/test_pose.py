@@ -105,9 +105,36 @@ def degrees_mm(error: FloatArray) -> tuple[float, float]:
 def test_exact_without_noise(seed: int, cameras: int, per_camera: int, body: simulate.Body) -> None:
     scene = scene_of(rig_of(cameras), seed, per_camera, noise_px=0.0, body=body)
     found = solve(scene)
+    if cameras == 1 and (body is BOARD or per_camera == 6) and found.status is Status.TURN_NOT_OBSERVABLE:
+        return  # noise is not believed to be none, and by some another pose is as likely
     assert found.status is Status.OK
     assert np.abs(scene.error(found)).max() < 1e-9
     assert all(mask.all() for mask in found.inliers)
+
+
+@pytest.mark.parametrize(("size", "noise", "n", "least"), [(0.06, 0.1, 20, 30), (0.12, 0.3, 4, 20), (0.2, 0.6, 8, 30)])
+def test_flat_models_before_one_camera_are_not_taken_for_their_mirror_image(
+    size: float, noise: float, n: int, least: int
+) -> None:
+    """Tilted two ways, they look nearly alike: what cannot be told is said, and next to nothing is wrong and sure of it."""
+    rng, rig, found, wrong = np.random.default_rng(3), simulate.arc(1, 0, 1.5, 500, (480, 360)), 0, 0
+    camera = rig.cameras[0]
+    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * size / 2
+    for _ in range(100):
+        points = square if n == 4 else np.column_stack([rng.uniform(-size / 2, size / 2, (n, 2)), np.zeros(n)])
+        axis, spin = rng.uniform(0, 2 * np.pi), Rotation.from_rotvec([0, 0, rng.uniform(0, 2 * np.pi)])
+        tilt = Rotation.from_rotvec(rng.uniform(0, 1.2) * np.array([np.cos(axis), np.sin(axis), 0]))
+        towards = Rotation.from_matrix(camera.rotation.T) * Rotation.from_rotvec([np.pi, 0, 0])
+        truth = RigidTransform.from_components(0.1 * rng.normal(size=3), towards * tilt * spin)
+        pixels = camera.project(truth.apply(points)) + noise * rng.normal(size=(n, 2))
+        scene = Scene(rig, [points], [pixels], [np.zeros(n, bool)], truth)
+        pose = solve(scene)
+        if pose.status is Status.OK:
+            off = scene.error(pose)
+            found += 1
+            wrong += bool(np.linalg.norm(off[:3]) > 0.2 and off @ pose.information @ off > 38.0)
+    assert found > least
+    assert wrong <= 1
 
 
 @pytest.mark.parametrize("lens", ["opencv", "fisheye"])

@@ -161,7 +161,7 @@ def test_a_camera_reports_what_it_has() -> None:
     alive[:7] = False
     here, region = followed_to(replace(anchor, alive=alive), picture()), np.zeros((4, 2))
     report = here.report(region)
-    assert (report.found, report.alive) == (len(here), alive.sum())
+    assert (report.found, report.alive) == (len(here), int(alive.sum()))
     assert len(here) > 0.9 * alive.sum()
     assert report.looks
     assert report.follows
@@ -234,7 +234,7 @@ def test_the_next_goes_on_with_what_is_followed_and_begins_new_ones(followed_one
     new = begin(image, both.pixels[k:])
     np.testing.assert_array_equal(anchor.tracks.patches.filters[k:], new.patches.filters)
     assert anchor.alive[k:].sum() == min(new.followed.sum(), max(FOLLOWED - k, MIN_NEW))
-    assert anchor.alive[k:].sum() >= min(MIN_NEW, new.followed.sum()) > 0
+    assert anchor.alive[k:].sum() >= min(MIN_NEW, int(new.followed.sum())) > 0
 
 
 def test_outliers_die_and_the_old_anchor_is_as_it_was() -> None:

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sylpose.app import text
-from sylpose.app.check import concerns
-from sylpose.app.compiling import compile_all
+from sylpose.app.check import concerns, object_place, obstacles
+from sylpose.app.compiling import compile_aloud
 from sylpose.app.listeners import STDOUT, listener
+from sylpose.app.notes import boxes_by
 from sylpose.app.progress import TrackingProgress
 from sylpose.app.results_folder import EARLIER
-from sylpose.app.run import ONE_CAMERA_UNIT, Run, output_path, track_session
+from sylpose.app.run import Run, output_path, track_session, unit_of
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.report.lines import pose_line
 from sylpose.results import FramePose
+from sylpose.rig import Rig
+from sylpose.tracking.tracked_frame import TrackedFrame
+
+if TYPE_CHECKING:
+    from sylpose.app.live_page import LivePage
 
 __all__ = ["track_aloud", "why_nothing"]
 
@@ -31,6 +38,9 @@ def track_aloud(
     quiet: bool = False,
     verbose: bool = False,
     poses: str | None = None,
+    show: bool = False,
+    port: int = 0,
+    browser: bool = True,
     **options: Any,
 ) -> Run:
     """`track_session` with everything that is said about it; `options` are those of `track_session`.
@@ -41,6 +51,7 @@ def track_aloud(
         quiet: only what looks wrong is said, on stderr.
         verbose: a line for each frame.
         poses: who is told each pose (`app.listeners`); where that is stdout, everything else goes to stderr.
+        show: what is tracked is shown on a page meanwhile (`app.live_page`), at this port, in the browser.
 
     Raises:
         KeyboardInterrupt: with a sentence.
@@ -50,13 +61,39 @@ def track_aloud(
         raise ValueError("--quiet and --verbose exclude each other")
     with ExitStack() as stack:
         tell = None if poses is None else stack.enter_context(listener(poses))
-        return _track_aloud(session, out, tell, poses == STDOUT, quiet, verbose, options)
+        known = next(iter((options.get("known") or {}).values()), None)
+        rig = Rig(session.rig.cameras, unit_of(session.rig, known))
+        page = stack.enter_context(_shown(session, rig, out, port, browser, poses == STDOUT)) if show else None
+        return _track_aloud(session, out, tell, page, poses == STDOUT, quiet, verbose, options)
+
+
+@contextmanager
+def _shown(
+    session: Session | LiveSession, rig: Rig, out: Path | None, port: int, browser: bool, to_stdout: bool
+) -> Iterator[LivePage]:
+    """A page on which a run is shown while it goes on; `rig` has its poses' unit."""
+    from sylpose.app.live_page import LivePage
+    from sylpose.app.local_page import open_browser
+    from sylpose.app.viewer_server import viewer_server
+
+    with (
+        viewer_server(port=port) as (server, url),
+        LivePage(server, rig, session.objects, session.path.resolve().name) as page,
+    ):
+        opened = browser and open_browser(url)
+        console = text.make_console(stderr=to_stdout)
+        console.print(f"{'Opened' if opened else 'Open'} {url} in a browser.", soft_wrap=True)
+        yield page
+    if page.failed:
+        text.say(page.failed)
+    console.print(f"To see it again: sylpose show {shlex.quote(str(output_path(session, out)))}", soft_wrap=True)
 
 
 def _track_aloud(
     session: Session | LiveSession,
     out: Path | None,
     tell: Callable[[str], None] | None,
+    page: LivePage | None,
     to_stdout: bool,
     quiet: bool,
     verbose: bool,
@@ -64,7 +101,13 @@ def _track_aloud(
 ) -> Run:
     console = text.make_console(stderr=to_stdout, quiet=quiet)
     warned = text.make_console(stderr=True) if quiet else console
+    known = options.get("known") or {}  # boxes of those are not used
+    places = {name: object_place(session.of(name)) for name in session.objects if name not in known}
+    if wrong := obstacles(places):
+        raise ValueError(f"{'; '.join(wrong)} ({boxes_by(session)} anew)")
     console.print(text.headline(session))
+    if session.world is not None:
+        console.print(f"World: {session.world.said or 'of a file'}.", highlight=False)
     start, stop, every = options.get("start", 0), options.get("stop"), options.get("every", 1)
     text.print_warnings(warned, concerns(session, start))
     if offsets := {name: seconds for name, seconds in (options.get("offsets") or {}).items() if seconds}:
@@ -76,9 +119,9 @@ def _track_aloud(
     elif stop is not None:
         frames = len(range(start, stop, max(every, 1)))
     problems: list[str] = []
-    unit = session.rig.unit if len(session.rig) > 1 else ONE_CAMERA_UNIT
-    with console.status("Loading (the first time after an installation: compiling, one to two minutes) ..."):
-        compile_all()
+    last: TrackedFrame | None = None
+    units = {name: unit_of(session.rig, known.get(name)) for name in session.objects}
+    compile_aloud(console)
     with (
         TrackingProgress(len(session.rig), frames, len(session.objects), quiet=quiet) as progress,
         _interrupts(session) as asked,
@@ -89,12 +132,24 @@ def _track_aloud(
             if isinstance(session, LiveSession):  # it may go on for hours
                 text.print_warnings(warned, [problem])
 
+        def on_frame(tracked: TrackedFrame) -> None:
+            nonlocal last
+            last = tracked
+            progress.update(tracked)
+
         def on_pose(name: str, pose: FramePose) -> None:
+            if page is not None and last is not None:
+                page.put(name, last)  # it is the same frame's
             of = name if len(session.objects) > 1 else ""
             if verbose:
-                console.print(text.frame_line(of, pose, session.rig.names, unit), soft_wrap=True)
+                console.print(text.frame_line(of, pose, session.rig.names, units[name]), soft_wrap=True)
             if tell is not None:
-                tell(pose_line(pose, session.rig.names, unit, **({"object": of} if of else {})))
+                tell(pose_line(pose, session.rig.names, units[name], **({"object": of} if of else {})))
+
+        def on_smoothing(number: int) -> None:
+            progress.smoothing(number)
+            if page is not None:
+                page.say("All poses are refined together.")
 
         def on_resume(done: int) -> None:
             console.print(f"Going on after {done} of {frames} frames.")
@@ -105,9 +160,9 @@ def _track_aloud(
                 session,
                 out,
                 on_resume=on_resume,
-                on_frame=progress.update,
+                on_frame=on_frame,
                 on_pose=on_pose,
-                on_smoothing=progress.smoothing,
+                on_smoothing=on_smoothing,
                 on_problem=on_problem,
                 interrupted=asked,
                 **options,
@@ -173,7 +228,8 @@ def why_nothing(session: Session | LiveSession, run: Run) -> list[str]:
             sentence = f"{prefix}no frame could be solved. {max(statuses, key=statuses.count).text}"
             if not session.of(name).boxes and session.masks is None:
                 sentence += (
-                    " Boxes of the object in the first frame (--boxes) or masks (--masks) would help to find it."
+                    f" Boxes of the object in the first frame ({boxes_by(session)}) or masks (--masks) would help to find "
+                    "it."
                 )
             said.append(sentence)
     return said

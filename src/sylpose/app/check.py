@@ -10,16 +10,17 @@ import numpy as np
 
 from sylpose.app import text
 from sylpose.app.following import Follows, box_outlines, what_moves
-from sylpose.app.notes import notes
+from sylpose.app.notes import boxes_by, notes
 from sylpose.app.opening import check_out
+from sylpose.app.record import WORLD
 from sylpose.app.text import length
-from sylpose.calibration import anipose, caliscope
+from sylpose.calibration import format_of
+from sylpose.calibration.world import save_world
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.files import output_folder
 from sylpose.numerics.arrays import FloatArray
-from sylpose.reading import parsed_toml, text_of
-from sylpose.report.following import draw_followed
+from sylpose.report.following import draw_followed, draw_world
 from sylpose.report.rigview import describe_rig, meeting_point, plot_rig
 from sylpose.rig import Rig
 from sylpose.tracking.region import volume_from_boxes
@@ -27,7 +28,6 @@ from sylpose.tracking.region import volume_from_boxes
 __all__ = [
     "Place",
     "axes_miss",
-    "calibration_format",
     "check_aloud",
     "concerns",
     "facts",
@@ -93,6 +93,12 @@ def check_aloud(session: Session, out: Path | None) -> None:
     if followed is not None and followed.frames is not None:
         pictures.append(picture.with_name("follows.png"))
         draw_followed(pictures[-1], followed.frames.images, session.rig.names, followed.outlines)
+    if session.world is not None:
+        pictures.append(picture.with_name("world.png"))
+        first = followed.frames if followed is not None else None
+        images = first.images if first is not None else [None] * len(session.rig)
+        draw_world(pictures[-1], images, session.rig)
+        save_world(session.world, picture.with_name(WORLD))
     text.print_files(console, "Pictures" if len(pictures) > 1 else "Picture", pictures)
     console.print()
     if followed is not None:
@@ -100,7 +106,7 @@ def check_aloud(session: Session, out: Path | None) -> None:
     found = [*warnings(session, places), *(followed.wrong if followed is not None else ())]
     text.print_warnings(console, found)
     if wrong:
-        raise ValueError("; ".join(wrong))
+        raise ValueError(f"{'; '.join(wrong)} ({boxes_by(session)} anew)")
     missed = axes_miss(session.rig)
     if found:
         console.print("Can be tracked; see the warnings above.")
@@ -135,8 +141,10 @@ def facts(session: Session, places: Mapping[str, Place]) -> list[tuple[str, str]
     calibration = session.calibration
     inside = calibration.parent.resolve() == session.path.resolve()
     name = calibration.name if inside else str(calibration)
-    words = [("Calibration", f"{name}, {calibration_format(calibration)}, length unit {unit}")]
+    words = [("Calibration", f"{name}, {format_of(calibration)}, length unit {unit}")]
     kinds = {"video": "videos", "images": "folders of images"}
+    if session.world is not None:
+        words.append(("World", session.world.said or "of a file"))
     words.append(("Recorded", " and ".join(sorted({kinds[source.kind] for source in session.sources}))))
     stamps = np.isfinite(session.timeline.stamps).any()
     if stamps:
@@ -181,7 +189,7 @@ def concerns(session: Session | LiveSession, start: int = 0) -> list[str]:
 def warnings(session: Session | LiveSession, places: Mapping[str, Place], start: int = 0) -> list[str]:
     """All that looks wrong but can be worked with, or at least tried, from frame `start` on; `places` by object."""
     of_objects = {
-        name: [*look_at(session.rig, place), *_boxes(session.of(name), place)] for name, place in places.items()
+        name: [*look_at(session.rig, place), *_boxes(session.of(name), place, start)] for name, place in places.items()
     }
     # What is wrong with the rig is so for all of them.
     common = [said for said in next(iter(of_objects.values())) if all(said in own for own in of_objects.values())]
@@ -266,7 +274,7 @@ def _sees(rig: Rig, name: str, point: FloatArray) -> bool:
     return bool(np.isfinite(pixel).all() and (pixel >= 0).all() and (pixel <= np.array(rig[name].size) - 1).all())
 
 
-def _boxes(session: Session | LiveSession, place: Place) -> list[str]:
+def _boxes(session: Session | LiveSession, place: Place, start: int) -> list[str]:
     boxes, found = session.boxes, []
     if len(boxes) == 1 and len(session.rig) > 1:
         found.append(
@@ -283,21 +291,8 @@ def _boxes(session: Session | LiveSession, place: Place) -> list[str]:
                 )
     if isinstance(session, LiveSession):
         return found
-    first = session.timeline.frames[0]
+    first = session.timeline.frames[min(start, session.n_frames - 1)]
     late = [name for name, frame in zip(session.rig.names, first, strict=True) if name in boxes and frame < 0]
     if late:
         found.append(f"{', '.join(late)}: a box for the first frame, in which this camera has no image.")
     return found
-
-
-def calibration_format(path: Path) -> str:
-    """The format of a calibration that `calibration.load` has read, in words."""
-    try:
-        data = parsed_toml(text_of(path))
-    except ValueError:
-        return "OpenCV FileStorage"
-    if "format" in data:
-        return "sylpose TOML"
-    if caliscope.is_caliscope(data):
-        return "Caliscope TOML"
-    return "Anipose TOML" if anipose.is_anipose(data) else "TOML"

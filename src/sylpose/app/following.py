@@ -8,6 +8,7 @@ from itertools import islice
 
 import numpy as np
 
+from sylpose.app.notes import boxes_by
 from sylpose.capture import Session
 from sylpose.frames import Box, FrameSet
 from sylpose.numerics.arrays import FloatArray
@@ -57,7 +58,8 @@ def what_moves(session: Session, looked_at: int = LOOKED_AT) -> Follows:
         why = statuses[-1].text if statuses else FrameStatus.TOO_FEW_MATCHES.text
         within = f"the first {len(decided)} frames" if len(decided) > 1 else "the first frame"
         said = (
-            f"Without boxes, the object is what moves, and nothing that could be followed does within {within}. {why}"
+            f"Without boxes, the object is what moves, and nothing that could be followed does within {within}. {why} "
+            f"Boxes would say what it is: {boxes_by(session)}."
         )
         return Follows(first, (None,) * len(names), "nothing yet", (said,))
     begin, end = solved[0], solved[-1]

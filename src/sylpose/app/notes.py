@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
+
 import numpy as np
 
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 
-__all__ = ["notes"]
+__all__ = ["boxes_by", "notes"]
 
 # Time stamps of one frame set that are further from their mean than this, frames, are said to be wrong (choice:
 # a frame late beside a frame early is what cameras without a common trigger do).
@@ -41,3 +43,8 @@ def notes(session: Session | LiveSession, start: int = 0) -> list[str]:
     if session.of(session.objects[0]).boxes and start > 0:
         found.append(f"The boxes are taken to be of frame {start}, where tracking starts.")
     return found
+
+
+def boxes_by(session: Session | LiveSession) -> str:
+    """What to type for boxes of a session."""
+    return "--boxes" if isinstance(session, LiveSession) else f"sylpose box {shlex.quote(str(session.path))} draws them"

@@ -8,11 +8,11 @@ import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from sylpose import __version__
@@ -21,11 +21,12 @@ from sylpose.files import replacing
 from sylpose.landmarks.places import Landmarks
 from sylpose.numerics.arrays import FloatArray
 from sylpose.reading import told
-from sylpose.rig import Rig
+from sylpose.rig import Camera, Rig
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.known_object import FEWEST, CameraMemory, KnownObject, check_rig
+from sylpose.tracking.known_here import known_here
+from sylpose.tracking.known_object import FEWEST, CameraMemory, KnownObject, ObjectFrame
 
-__all__ = ["CLOUD", "OBJECT", "checksum_of", "known_objects", "load_object", "save_object", "write_cloud"]
+__all__ = ["CLOUD", "DRAWN", "OBJECT", "checksum_of", "known_objects", "load_object", "save_object", "write_cloud"]
 
 OBJECT, CLOUD = "object.npz", "object.ply"
 FORMAT = "sylpose object 1"
@@ -38,6 +39,11 @@ COLORS = np.array(
     [[213, 94, 0], [0, 114, 178], [0, 158, 115], [204, 121, 167], [230, 159, 0], [86, 180, 233]], np.uint8
 )
 _NAME = Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f]+$", max_length=200)]
+_TEXT = Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f]*$", max_length=200)]
+# A matrix's rows.
+_POSE = Annotated[
+    list[Annotated[list[float], msgspec.Meta(min_length=3, max_length=4)]], msgspec.Meta(min_length=3, max_length=4)
+]
 # Names, types and shapes of the arrays: K keyframes, L landmarks, F features, P points.
 _ARRAYS: Mapping[str, tuple[str, tuple[str | int, ...]]] = {
     "points": ("f8", ("P", 3)),
@@ -60,12 +66,29 @@ _ARRAYS: Mapping[str, tuple[str, tuple[str | int, ...]]] = {
 }
 
 
+class _Camera(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    name: _NAME
+    size: tuple[int, int]
+    matrix: _POSE
+    distortion: Annotated[list[float], msgspec.Meta(max_length=14)]
+    camera_from_world: _POSE
+    lens: Literal["opencv", "fisheye"]
+    error_px: float | None
+
+
 class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     format: str
     version: Annotated[str, msgspec.Meta(pattern=r"^[\w.+-]{1,40}$")]
-    unit: Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f]*$", max_length=200)]
+    mark: Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{1,64}$")]
+    unit: _TEXT
     radius: Annotated[float, msgspec.Meta(gt=0, lt=FARTHEST)]
-    cameras: Annotated[list[_NAME], msgspec.Meta(min_length=1, max_length=10_000)]
+    scale_sd: Annotated[float, msgspec.Meta(ge=0, le=1)]
+    object_from_learnt: _POSE
+    frame_sd: Annotated[
+        list[Annotated[float, msgspec.Meta(ge=0, lt=FARTHEST)]], msgspec.Meta(min_length=6, max_length=6)
+    ]
+    frame_said: _TEXT
+    cameras: Annotated[list[_Camera], msgspec.Meta(min_length=1, max_length=10_000)]
 
 
 def save_object(known: KnownObject, path: Path | str) -> None:
@@ -74,9 +97,9 @@ def save_object(known: KnownObject, path: Path | str) -> None:
     Raises:
         OSError: naming the file, when it cannot be written.
     """
-    cameras, parts = list(known._cameras), dict[str, list[NDArray[Any]]]()
+    parts = dict[str, list[NDArray[Any]]]()
     arrays: dict[str, NDArray[Any]] = {
-        "points": known.points,
+        "points": known._points,
         "keyframe_time": np.array([k.time for k in known._keyframes]),
         "keyframe_age": np.array([k.age for k in known._keyframes]),
         "keyframe_world_from_object": np.array([k.world_from_object.as_matrix() for k in known._keyframes]),
@@ -97,10 +120,34 @@ def save_object(known: KnownObject, path: Path | str) -> None:
                 descriptor=features.descriptors,
             )
     arrays |= {name: np.concatenate(rows) for name, rows in parts.items()}
-    header = _Header(FORMAT, __version__, known.unit, known.radius, cameras)
+    frame = known.frame
+    header = _Header(
+        FORMAT,
+        __version__,
+        known.mark,
+        known.unit,
+        known.radius,
+        known.scale_sd,
+        frame.from_learnt.as_matrix().tolist(),
+        frame.sd.tolist(),
+        frame.said,
+        [_told(known.rig[name]) for name in known._cameras],
+    )
     typed = {name: arrays[name].astype(f"<{kind}") for name, (kind, _) in _ARRAYS.items()}
     with replacing(path) as part, part.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, header=np.array(msgspec.json.encode(header).decode()), **typed)
+
+
+def _told(camera: Camera) -> _Camera:
+    return _Camera(
+        camera.name,
+        camera.size,
+        camera.matrix.tolist(),
+        camera.distortion.tolist(),
+        camera.camera_from_world.as_matrix().tolist(),
+        camera.lens,
+        camera.error_px,
+    )
 
 
 def _put(parts: dict[str, list[NDArray[Any]]], of: str, **rows: NDArray[Any]) -> None:
@@ -164,13 +211,10 @@ def _read(path: Path) -> tuple[_Header, dict[str, NDArray[Any]]]:
 
 def _object(header: _Header, a: Mapping[str, NDArray[Any]]) -> KnownObject:
     """Raises ValueError: arrays that contradict each other."""
-    k, c, poses = len(a["keyframe_time"]), len(header.cameras), a["keyframe_world_from_object"]
-    if k < FEWEST or len({*header.cameras}) < c or (np.diff(a["keyframe_time"]) <= 0).any():
-        raise ValueError("too few keyframes, out of order, or two cameras of one name")
-    about = poses[:, :3, :3]
-    rigid = np.abs(about @ about.swapaxes(1, 2) - np.eye(3)).max() < 1e-6 and (np.linalg.det(about) > 0).all()
-    if not rigid or not (poses[:, 3] == [0, 0, 0, 1]).all():
-        raise ValueError("keyframe_world_from_object has matrices that are no poses")
+    k, c = len(a["keyframe_time"]), len(header.cameras)
+    if k < FEWEST or (np.diff(a["keyframe_time"]) <= 0).any():
+        raise ValueError("too few keyframes, or out of order")
+    poses = _poses("keyframe_world_from_object", a["keyframe_world_from_object"])
     for name in ("keyframe_covariance", "landmark_information"):
         if not _are_covariances(a[name]):
             raise ValueError(f"{name} has matrices that are not symmetric and positive")
@@ -183,7 +227,7 @@ def _object(header: _Header, a: Mapping[str, NDArray[Any]]) -> KnownObject:
             number=i,
             time=float(a["keyframe_time"][i]),
             late=np.empty(0),
-            world_from_object=RigidTransform(poses[i], normalize=False),
+            world_from_object=poses[i],
             covariance=a["keyframe_covariance"][i],
             viewpoints=np.empty((0, 3)),
             sees=np.empty(0, bool),
@@ -191,8 +235,44 @@ def _object(header: _Header, a: Mapping[str, NDArray[Any]]) -> KnownObject:
         )
         for i in range(k)
     )
-    cameras = {name: _memory(i, k, a) for i, name in enumerate(header.cameras)}
-    return KnownObject(header.unit, header.radius, a["points"], frames, cameras)
+    cameras = [_camera(told) for told in header.cameras]
+    (from_learnt,) = _poses("object_from_learnt", [header.object_from_learnt])
+    frame = ObjectFrame(from_learnt, np.array(header.frame_sd), header.frame_said)
+    return KnownObject(
+        Rig(cameras, header.unit),
+        header.radius,
+        header.mark,
+        a["points"],
+        frames,
+        {camera.name: _memory(i, k, a) for i, camera in enumerate(cameras)},
+        frame,
+        header.scale_sd,
+    )
+
+
+def _camera(told: _Camera) -> Camera:
+    (pose,) = _poses(f"camera {told.name}: camera_from_world", [told.camera_from_world])
+    matrix = _matrices(f"camera {told.name}: matrix", [told.matrix], 3)[0]
+    return Camera(told.name, told.size, matrix, np.array(told.distortion), pose, told.lens, told.error_px)
+
+
+def _matrices(name: str, given: ArrayLike, n: int) -> FloatArray:
+    """(k, n, n) of lists of rows, which may be of any length."""
+    matrices = np.array(given, dtype=object)
+    if matrices.shape[1:] != (n, n):
+        raise ValueError(f"{name}: no {n} x {n} matrix")
+    return matrices.astype(float)
+
+
+def _poses(name: str, given: ArrayLike) -> list[RigidTransform]:
+    """Of matrices (k, 4, 4), to the bit."""
+    matrices = _matrices(name, given, 4)
+    about = matrices[:, :3, :3]
+    known = bool((np.abs(matrices) <= FARTHEST).all())
+    rigid = known and np.abs(about @ about.swapaxes(1, 2) - np.eye(3)).max() < 1e-6 and (np.linalg.det(about) > 0).all()
+    if not rigid or not (matrices[:, 3] == [0, 0, 0, 1]).all():
+        raise ValueError(f"{name} has matrices that are no poses")
+    return [RigidTransform(matrix, normalize=False) for matrix in matrices]
 
 
 def _are_covariances(matrices: FloatArray) -> bool:
@@ -235,7 +315,7 @@ def known_objects(given: Sequence[str] | None, objects: Sequence[str], rig: Rig)
         rig: that is going to see them.
 
     Raises:
-        FileNotFoundError, ValueError: as `load_object` and `check_rig`; names that there are not, or twice.
+        FileNotFoundError, ValueError: as `load_object` and `known_here`; names that there are not, or twice.
     """
     known: dict[str, KnownObject] = {}
     for text in given or ():
@@ -248,15 +328,16 @@ def known_objects(given: Sequence[str] | None, objects: Sequence[str], rig: Rig)
             raise ValueError(f"--object: given twice for {name}")
         its = load_object(file)
         with told(file):
-            check_rig(its, rig)
+            known_here(its, rig)
         known[name] = its
     return known
 
 
 def checksum_of(known: KnownObject) -> str:
     """Of what a result depends on in it."""
-    total = hashlib.blake2b(digest_size=16)
-    total.update(json.dumps([known.unit, known.radius, [k.time for k in known._keyframes]]).encode())
+    total, frame = hashlib.blake2b(digest_size=16), known.frame.from_learnt.as_matrix().tolist()
+    told = [known.unit, known.radius, known.scale_sd, frame, [k.time for k in known._keyframes]]
+    total.update(json.dumps(told).encode())
     for name, memory in known._cameras.items():
         total.update(name.encode())
         total.update(memory.landmarks.mean.tobytes())
@@ -275,7 +356,8 @@ def write_cloud(known: KnownObject, path: Path | str) -> None:
         sd = memory.landmarks.depth_sd
         good = sd < DRAWN * known.radius
         table = np.zeros(int(good.sum()), [("place", "<f4", 3), ("color", "u1", 3), ("sd", "<f4")])
-        table["place"], table["color"], table["sd"] = memory.landmarks.mean[good], COLORS[c % len(COLORS)], sd[good]
+        places = known.frame.from_learnt.apply(memory.landmarks.mean[good]).reshape(-1, 3)
+        table["place"], table["color"], table["sd"] = places, COLORS[c % len(COLORS)], sd[good]
         rows.append(table)
     points, unit = np.concatenate(rows), known.unit or "units of the calibration"
     said = [f"comment places on the object, in {unit}; cameras: {', '.join(known._cameras)}"]

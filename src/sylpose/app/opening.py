@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
+from sylpose.app.world import WorldAsked, world_of_session
 from sylpose.capture import Session, live, open_session
+from sylpose.capture.session import SessionBase
+from sylpose.units import METRES
 
-__all__ = ["check_out", "open_asked", "open_recorded"]
+__all__ = ["camera_files", "check_out", "open_asked", "open_recorded", "told"]
+
+Opened = TypeVar("Opened", bound=SessionBase)
 
 
 def open_recorded(
@@ -20,14 +27,15 @@ def open_recorded(
     camera: Sequence[str] | None = None,
     rate: float | None = None,
     unit: str | None = None,
+    world: WorldAsked | None = None,
 ) -> Session:
     """A recording; the arguments are the options of the same names, None where they were not given.
 
     Raises:
-        ValueError, FileNotFoundError: as `open_session` and `Rig.in_unit`; an offset that is not CAMERA=FRAMES, a camera
-            that is not NAME=FILE.
+        ValueError, OSError: as `open_session`, `world_of_session` and `Rig.in_unit`; an offset that is not CAMERA=FRAMES, a
+            camera that is not NAME=FILE.
     """
-    cameras = _cameras(camera)
+    cameras = camera_files(camera)
     opened = open_session(
         path,
         calibration=calibration,
@@ -37,7 +45,7 @@ def open_recorded(
         cameras=cameras,
         rate=rate,
     )
-    return opened if unit is None else opened.with_rig(opened.rig.in_unit(unit))
+    return told(opened, world, unit)
 
 
 def open_asked(
@@ -53,6 +61,7 @@ def open_asked(
     rate: float | None,
     camera: Sequence[str] | None = None,
     unit: str | None = None,
+    world: WorldAsked | None = None,
 ) -> Session | live.LiveSession:
     """A recording, or with `follow` or a live.toml a live session; otherwise as `open_recorded`.
 
@@ -62,7 +71,7 @@ def open_asked(
     if not (follow or live.is_live(path)):
         if lossless:
             raise ValueError("--lossless is only for growing folders, with --follow")
-        return open_recorded(path, calibration, boxes, masks, offset, camera, rate, unit)
+        return open_recorded(path, calibration, boxes, masks, offset, camera, rate, unit, world)
     if camera:
         raise ValueError(
             "--camera: of live cameras live.toml says which is which, and growing folders have their names"
@@ -76,6 +85,23 @@ def open_asked(
     opened = live.open_live(
         path, calibration=calibration, boxes=boxes, masks=masks, follow=follow, lossless=lossless, rate=rate
     )
+    return told(opened, world, unit)
+
+
+def told(opened: Opened, world: WorldAsked | None, unit: str | None) -> Opened:
+    """The session in another world, then in another unit: lengths that `world` has are the calibration's.
+
+    Raises:
+        ValueError, OSError: as `world_of_session` and `Rig.in_unit`.
+    """
+    if world is not None:
+        found, notes = world_of_session(opened, world)
+        opened = replace(opened.told_in(found), warnings=(*opened.warnings, *notes))
+    if unit in METRES and not opened.rig.unit:
+        raise ValueError(
+            f"--unit {unit}: {opened.calibration} does not say its own unit; sylpose calibration convert IN OUT --is-in m "
+            "writes one that does"
+        )
     return opened if unit is None else opened.with_rig(opened.rig.in_unit(unit))
 
 
@@ -100,7 +126,12 @@ def check_out(session: Session | live.LiveSession, out: Path) -> None:
         raise ValueError(f"--out {out}: the masks are there ({session.masks})")
 
 
-def _cameras(given: Sequence[str] | None) -> dict[str, str] | None:
+def camera_files(given: Sequence[str] | None) -> dict[str, str] | None:
+    """What `--camera NAME=FILE` says, by name.
+
+    Raises:
+        ValueError: something else, or a name twice.
+    """
     cameras: dict[str, str] = {}
     for text in given or ():
         name, _, file = text.partition("=")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 from sylpose.adjustment.calibration import usual_doubt
+from sylpose.app.album import Album
 from sylpose.app.clock import Clock
 from sylpose.app.object_files import CLOUD, OBJECT, save_object, write_cloud
 from sylpose.app.recalibrate import changes, moved_cameras, write_refined
@@ -16,12 +16,15 @@ from sylpose.app.state import OutputState
 from sylpose.app.tracks import FrameFile
 from sylpose.files import output_folder
 from sylpose.numerics.angles import PAN_TILT_ROLL, Angles
+from sylpose.reading import MAX_TABLE
 from sylpose.report.files import TrajectoryWriter, write_trajectory
+from sylpose.report.formats import PAGE
 from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
 from sylpose.smoothing.known import tracks_of
 from sylpose.smoothing.trajectory import Track, smooth
-from sylpose.tracking.known_object import KnownObject, calibrated_anew
+from sylpose.tracking.known_here import KnownHere
+from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["MAX_SMOOTHED", "RESULT", "SUFFIXES", "TRACKED", "TRACKS", "ObjectOutput", "Overlay"]
@@ -37,7 +40,7 @@ OVERLAY_QUEUE = 4
 
 
 class ObjectOutput:
-    """The files of one object: trajectory.tum and .csv frame by frame, the report when it is closed.
+    """The files of one object: trajectory.tum and .csv frame by frame, the reports when it is closed.
 
     Args:
         folder: made when it is not there.
@@ -49,7 +52,8 @@ class ObjectOutput:
         plot_format: what the report's name ends with.
         note: what it is a report of, a line.
         angles: three more in the files, and those of the report.
-        known: the object, if that is known from another take.
+        known: the object before these cameras, if that is known from another take.
+        album: pictures of the run, for its page; None for no page.
         resume: of an earlier run, to go on with its files. Nothing of them is cut or removed before there is as much again.
 
     Raises:
@@ -67,12 +71,14 @@ class ObjectOutput:
         plot_format: str = "png",
         note: str = "",
         angles: Angles | None = None,
-        known: KnownObject | None = None,
+        known: KnownHere | None = None,
+        album: Album | None = None,
         resume: OutputState | None = None,
     ) -> None:
         self.folder, self._rig, self._clock = output_folder(folder), rig, clock
         self.changes: list[str] = []
         self._recalibrate, self._note, self._known, self._angles = recalibrate, note, known, angles
+        self._album = album
         self.report_path = self.folder / f"report.{plot_format}"
         state = OutputState() if resume is None else resume
         stem = TRACKED if smooth else RESULT
@@ -86,7 +92,12 @@ class ObjectOutput:
             self._keep(pose)
         self._ended = False
         self._whole: Trajectory | None = None
-        self.files = [*self._named(RESULT), self.report_path, *(self._named(TRACKED) if smooth else [])]
+        self.files = [
+            *self._named(RESULT),
+            self.report_path,
+            *([] if album is None else [self.folder / PAGE]),
+            *(self._named(TRACKED) if smooth else []),
+        ]
 
     def _named(self, stem: str) -> list[Path]:
         return [self.folder / f"{stem}{suffix}" for suffix in SUFFIXES]
@@ -142,9 +153,8 @@ class ObjectOutput:
                 tracks, self._rig, doubt=doubt, recalibrate=self._recalibrate, moved=moved, on_round=on_round
             )
             poses = result.poses[len(tracks) - self.n_frames :]
-            if (known := self._known) is not None:
-                anew = calibrated_anew(known, self._rig)
-                poses = tuple(replace(pose, covariance=pose.covariance + anew) for pose in poses)
+            if self._known is not None:
+                poses = tuple(map(self._known.telling.of, poses))
             self._whole = self._of(poses)
             if result.correction is not None:
                 self.files += write_refined(self.folder, result.correction, self._rig.names, result.moved)
@@ -176,6 +186,10 @@ class ObjectOutput:
                 from sylpose.report.plots import plot_trajectory
 
                 plot_trajectory(self._whole, self.report_path, note=self._note, angles=self._angles or PAN_TILT_ROLL)
+                if self._album is not None and self._named(RESULT)[1].stat().st_size <= MAX_TABLE:
+                    from sylpose.app.page import make_page
+
+                    make_page(self.folder, self._album.stills())
 
 
 def _frames_in(path: Path) -> int:

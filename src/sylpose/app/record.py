@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -11,24 +11,29 @@ from pathlib import Path
 
 from sylpose import __version__, calibration
 from sylpose.app.checkpoint import fingerprint
+from sylpose.calibration.world import save_world
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.files import output_folder, replacing, toml_key, toml_string
 
-__all__ = ["SETTINGS", "USED", "write_record"]
+__all__ = ["SETTINGS", "USED", "WORLD", "write_record"]
 
-SETTINGS, USED = "settings.toml", "calibration.used.toml"
+SETTINGS, USED, WORLD = "settings.toml", "calibration.used.toml", "world.toml"
 # Whose versions answers may depend on, to rounding; OpenCV in whatever flavour there is.
 _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python")
 _PACKAGES = ("numpy", "scipy", "numba", "av", *_OPENCV)
 _HEAD = f"# What this run of sylpose was asked for. The calibration that it used is beside it, in {USED}.\n"
 
 
-def write_record(folder: Path, session: Session | LiveSession, options: Mapping[str, object]) -> list[Path]:
-    """Writes `settings.toml` and `calibration.used.toml`; returns these files.
+def write_record(
+    folder: Path, session: Session | LiveSession, options: Mapping[str, object], noticed: Sequence[str] = ()
+) -> list[Path]:
+    """Writes `settings.toml` and `calibration.used.toml`, and `world.toml` of a session that is told in a world of one's
+    own; returns these files.
 
     Args:
         options: numbers, words or tables of these by the names that `track_session` has for them; None is left out.
+        noticed: sentences about what looked wrong before the run.
 
     Raises:
         OSError: naming the file that cannot be written.
@@ -36,13 +41,21 @@ def write_record(folder: Path, session: Session | LiveSession, options: Mapping[
     output_folder(folder)
     begun = datetime.now(UTC).isoformat(timespec="seconds")
     asked = {name: value for name, value in options.items() if value is not None}
+    of_session = {"rate": session.rate, "unit": session.rig.unit or None, "world": session.world and session.world.said}
+    asked |= {name: value for name, value in of_session.items() if value is not None}
     text = f"{_HEAD}begun = {begun}\nrecording = {toml_string(str(session.path.resolve()))}\n"
     text += f"calibration = {toml_string(str(session.calibration.resolve()))}\n"
+    if isinstance(session, Session) and session.rate is not None:
+        text += f"rate = {session.rate!r}\n"
+    if noticed:
+        text += f"noticed = [{', '.join(map(toml_string, noticed))}]\n"
     text += _table("options", {name: value for name, value in asked.items() if not isinstance(value, Mapping)})
     for name, value in asked.items():
         if isinstance(value, Mapping):
             text += _table(name, value)
     if isinstance(session, Session):
+        if session.timeline.offsets:
+            text += _table("frame_offsets", session.timeline.offsets)
         text += _table("cameras", {source.camera: str(source.path.resolve()) for source in session.sources})
         text += "\n# Of what the result depends on; images count by their names and sizes."
         text += _table("checksums", fingerprint(session))
@@ -51,7 +64,10 @@ def write_record(folder: Path, session: Session | LiveSession, options: Mapping[
     with replacing(settings) as part:
         part.write_text(text, encoding="utf-8")
     calibration.save(session.rig, used)
-    return [settings, used]
+    if session.world is None:
+        return [settings, used]
+    save_world(session.world, folder / WORLD)
+    return [settings, used, folder / WORLD]
 
 
 def _versions() -> dict[str, str]:

@@ -19,7 +19,7 @@ from sylpose.app.checkpoint import CHECKPOINT
 from sylpose.app.object_files import CLOUD, OBJECT
 from sylpose.app.outputs import RESULT, SUFFIXES, TRACKED, TRACKS
 from sylpose.app.recalibrate import REFINED, REFINED_END
-from sylpose.app.record import SETTINGS, USED
+from sylpose.app.record import SETTINGS, USED, WORLD
 from sylpose.files import beside, output_folder, writing
 
 __all__ = ["EARLIER", "ResultsFolder", "alone_in"]
@@ -29,9 +29,9 @@ LOCK = ".lock"
 EARLIER, MOVING, REMOVED = "earlier_results", ".earlier_results.moving", ".earlier_results.removed"
 # What a run writes, and `sylpose view` of it; its checkpoint first, since without one nothing goes on from what is half
 # there.
-_MANY = re.compile(r"overlay(_\d+)?\.mp4|report\.(png|svg|pdf)|view_.+\.(tum|csv|png|svg|pdf)")
+_MANY = re.compile(r"overlay(_\d+)?\.mp4|report\.(html|png|svg|pdf)|view_.+\.(tum|csv|png|svg|pdf)")
 _NAMES = (CHECKPOINT, *(f"{stem}{end}" for stem in (RESULT, TRACKED) for end in SUFFIXES))
-_OWN = (*_NAMES, REFINED, REFINED_END, TRACKS, SETTINGS, USED, OBJECT, CLOUD)
+_OWN = (*_NAMES, REFINED, REFINED_END, TRACKS, SETTINGS, USED, WORLD, OBJECT, CLOUD)
 
 
 @contextmanager

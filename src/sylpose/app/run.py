@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from sylpose import __version__
+from sylpose.app.album import Album, step_after
 from sylpose.app.clock import Clock
 from sylpose.app.object_files import checksum_of
 from sylpose.app.opening import check_out
+from sylpose.app.outcome import Run
 from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
 from sylpose.app.progress import Watcher, watched
-from sylpose.app.record import SETTINGS, USED, write_record
+from sylpose.app.record import SETTINGS, USED, WORLD, write_record
 from sylpose.app.results_folder import ResultsFolder, alone_in
 from sylpose.app.saving import Saver
 from sylpose.app.state import OutputState, RunState
@@ -27,60 +28,30 @@ from sylpose.methods import FEATURES, METHODS, MODES, features_of
 from sylpose.network.stepwise import NodesTracker
 from sylpose.numerics.angles import angles_of
 from sylpose.report.formats import FORMATS
-from sylpose.results import FramePose, Trajectory
+from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.sync.offsets import find_offsets, retimed
 from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Memory, Tracker
+from sylpose.units import FIRST_DISTANCES
 
-__all__ = ["CHECKPOINT_SECONDS", "ONE_CAMERA_UNIT", "Run", "has_ended", "output_path", "track_session"]
+__all__ = ["CHECKPOINT_SECONDS", "Run", "has_ended", "output_path", "track_session", "unit_of"]
 
 # Of the overlay where a recording does not say its rate, frames per second.
 IMAGE_RATE = 2.0
-# With one camera lengths are relative to the object's distance in the first frame (docs/conventions.md).
-ONE_CAMERA_UNIT = "first distances"
 # Seconds between two checkpoints (choice: what one may lose).
 CHECKPOINT_SECONDS = 20.0
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """What `track_session` did.
-
-    Attributes:
-        trajectories: of all frames, by object; with one camera their unit is "first distances".
-        files: that were written.
-        problems: sentences about what could not be read.
-        seconds: where the time went: "reading", "tracking" (detection, matching, solving), "saving" (checkpoints),
-            "overlay", "smoothing" and "plots".
-        changes: by object, what was found wrong with the calibration, a sentence for each camera; nothing unless that was
-            asked for.
-        network: by object, what its nodes told each other, a sentence; nothing where one process did everything.
-    """
-
-    trajectories: dict[str, Trajectory]
-    files: tuple[Path, ...]
-    problems: tuple[str, ...]
-    seconds: dict[str, float]
-    changes: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    network: dict[str, str] = field(default_factory=dict)
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """Of the only object.
-
-        Raises:
-            ValueError: there are several.
-        """
-        if len(self.trajectories) > 1:
-            raise ValueError(f"several objects ({', '.join(self.trajectories)}): take one of `trajectories`")
-        return next(iter(self.trajectories.values()))
 
 
 def output_path(session: Session | LiveSession, out: Path | str | None = None) -> Path:
     """Where a run's files go: `sylpose` in the session's folder when nothing else is said."""
     return session.path / "sylpose" if out is None else Path(out)
+
+
+def unit_of(rig: Rig, known: KnownObject | None = None) -> str:
+    """What a run tells lengths in; with one camera only an object of known size tells them in the calibration's unit."""
+    return rig.unit if len(rig) > 1 or (known is not None and known.unit != FIRST_DISTANCES) else FIRST_DISTANCES
 
 
 def has_ended(session: Session | LiveSession, out: Path | str | None = None) -> bool:
@@ -121,9 +92,9 @@ def track_session(
     on_problem: Callable[[str], None] | None = None,
     interrupted: Callable[[], bool] | None = None,
 ) -> Run:
-    """Track a session and write `trajectory.tum`, `trajectory.csv`, `report.png` and `overlay.mp4`.
+    """Track a session and write `trajectory.tum`, `trajectory.csv`, `report.png`, `report.html` and `overlay.mp4`.
 
-    Of several objects, each has a folder of its name with the first three. Whatever ends it early (Ctrl-C, a full disk, a
+    Of several objects, each has a folder of its name with the first four. Whatever ends it early (Ctrl-C, a full disk, a
     bug), the frames solved until then are in the trajectory files, and `report.png` and `overlay.mp4` are finished with
     them before the exception goes on; of a run that is killed they are in `tracked.tum` and `tracked.csv`, if it was to be
     smoothed. `resume` goes on from the last checkpoint, and comes to the same trajectories as if there had been no
@@ -215,7 +186,7 @@ def track_session(
     of: Any = partial(Tracker, workers=workers)
     if distributed is not None:
         of = partial(NodesTracker, mode=distributed)
-    rig = session.rig if len(session.rig) > 1 else Rig(session.rig.cameras, ONE_CAMERA_UNIT)
+    rigs = {name: Rig(session.rig.cameras, unit_of(session.rig, known.get(name))) for name in session.objects}
     if resume and saver is None:
         raise ValueError("a live session cannot be resumed: what was not tracked then is gone")
     with ExitStack() as whole:
@@ -228,8 +199,9 @@ def track_session(
             raise FileNotFoundError(f"{results.path}: no interrupted run to resume (there is no such folder)")
         # Up to here nothing was written.
         whole.enter_context(alone_in(results.path))
-        shown = whole.enter_context(watched(progress, len(rig), number or None, len(trackers)))
+        shown = whole.enter_context(watched(progress, len(session.rig), number or None, len(trackers)))
         position, states = 0, {name: OutputState() for name in session.objects}
+        album = Album(len(session.rig))
         outputs: dict[str, ObjectOutput] = {}
 
         def begun() -> bool:
@@ -243,29 +215,33 @@ def track_session(
                 if isinstance(tracker, Tracker):
                     tracker.go_back(saved.trackers[name])
             frames = _rest(session, start, stop, every, position, said)
+            if position:
+                first = start + position * every
+                album.go_on(position, session.frames(start, first, every * step_after(position), lambda _: None))
             shown.skip(position)
             if on_resume is not None:
                 on_resume(position)
         else:
             results.set_aside()
             whole.push(lambda error, *_: results.put_back() if error is not None and not begun() else None)
-            write_record(results.path, session, asked)
+            write_record(results.path, session, asked, _noticed(session, start))
             if saver is not None:
                 saver.begin(RunState(0, _memories(trackers), states))
 
         stack = whole.enter_context(ExitStack())
         for name, own in zip(session.objects, results.folders, strict=True):
-            state = None if saver is None else states[name]
+            state, tracker = None if saver is None else states[name], trackers[name]
             outputs[name] = ObjectOutput(
                 own,
-                rig,
+                rigs[name],
                 clock,
                 smooth=smooth,
                 recalibrate=refine_calibration,
                 plot_format=plot_format,
                 angles=about,
                 note=_note(session, name, method, smooth),
-                known=known.get(name),
+                known=tracker.known if isinstance(tracker, Tracker) else None,
+                album=album,
                 resume=state,
             )
             stack.callback(outputs[name].close)
@@ -273,7 +249,9 @@ def track_session(
         overlay_path = results.path / (f"overlay_{start + position * every}.mp4" if position else "overlay.mp4")
         if overlay:
             rate = max(session.rate / every, 1.0) if session.rate else IMAGE_RATE
-            drawing = stack.enter_context(closing(Overlay(overlay_path, rig, rate, session.objects, clock)))
+            drawing = stack.enter_context(
+                closing(Overlay(overlay_path, rigs[session.objects[0]], rate, session.objects, clock))
+            )
 
         def take(name: str, decided: list[TrackedFrame]) -> None:
             for tracked in decided:
@@ -298,6 +276,8 @@ def track_session(
 
         stack.enter_context(closing(frames))
         for frame_set in clock.around("reading", frames):
+            with clock.part("plots"):
+                album.put(frame_set)
             for name, tracker in trackers.items():
                 with clock.part("tracking"):
                     decided = tracker.step(frame_set.of(name))
@@ -322,6 +302,7 @@ def track_session(
         results.end()
     files = [file for output in outputs.values() for file in output.files] + ([overlay_path] if overlay else [])
     files += [results.path / SETTINGS, results.path / USED]
+    files += [results.path / WORLD] if session.world is not None else []
     trajectories = {name: output.trajectory for name, output in outputs.items()}
     changes = {name: tuple(output.changes) for name, output in outputs.items()}
     network = {name: tracker.cost() for name, tracker in trackers.items() if isinstance(tracker, NodesTracker)}
@@ -333,6 +314,13 @@ def _note(session: Session | LiveSession, name: str, method: str, smooth: bool) 
     of = session.path.resolve().name + (f", {name}" if len(session.objects) > 1 else "")
     how = f"method {method}" + (", refined together" if smooth else "")
     return f"{of}, {how}, sylpose {__version__}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"
+
+
+def _noticed(session: Session | LiveSession, start: int) -> list[str]:
+    """What looks wrong before the run."""
+    from sylpose.app.check import concerns
+
+    return concerns(session, start)
 
 
 def _refuse(distributed: str, session: Session | LiveSession, *, resume: bool, known: bool) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sylpose.app import text
-from sylpose.app.compiling import compile_all
+from sylpose.app.compiling import compile_aloud
 from sylpose.capture import Session
 from sylpose.files import replacing, toml_key
 from sylpose.frames import FrameSet
@@ -269,8 +269,7 @@ def sync_aloud(
     console = text.make_console()
     console.print(text.headline(session))
     text.print_warnings(console, session.warnings)
-    with console.status("Loading (the first time after an installation: compiling, one to two minutes) ..."):
-        compile_all()
+    compile_aloud(console)
     progress = _Watching()
     try:
         synced = sync_session(session, max_lag=max_lag, start=start, stop=stop, seed=seed, watch=progress)

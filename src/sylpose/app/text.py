@@ -19,9 +19,10 @@ from sylpose.reading import SENTENCE, one_line
 from sylpose.report.disagreement import remarks
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 from sylpose.told import length
+from sylpose.units import FIRST_DISTANCES
 
 if TYPE_CHECKING:  # loading these takes a second
-    from sylpose.app.run import Run
+    from sylpose.app.outcome import Run
     from sylpose.capture import Session
     from sylpose.capture.live import LiveSession
     from sylpose.report.rigview import CameraView
@@ -32,6 +33,7 @@ __all__ = [
     "headline",
     "length",
     "make_console",
+    "per_camera",
     "print_facts",
     "print_files",
     "print_summary",
@@ -114,7 +116,7 @@ def print_summary(console: Console, run: Run, tracked: int) -> None:
             console.print(Text(name, "bold"))
         print_facts(console, _findings(trajectory))
         console.print()
-        print_table(console, ("Camera", "frames used", "inliers", "residual"), _per_camera(trajectory))
+        print_table(console, ("Camera", "frames used", "inliers", "residual"), per_camera(trajectory))
         console.print()
         if name in run.network:
             print_facts(console, [("Network", run.network[name])])
@@ -143,7 +145,8 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
     again = sum(f.status is FrameStatus.RELOCALISED for f in trajectory)
     said = f"{found} of {len(trajectory)} frames" + (f" ({again} relocalised)" if again else "")
     rest = Counter(f.status for f in trajectory if not f.measured)
-    facts = [("Tracked", ", ".join([said, *(f"{status.value} {n}" for status, n in rest.most_common())]))]
+    label = "Found" if any(f.status is FrameStatus.FOUND for f in trajectory) else "Tracked"
+    facts = [(label, ", ".join([said, *(f"{status.value} {n}" for status, n in rest.most_common())]))]
     facts += [("" if k else "Not found", said) for k, said in enumerate(_why_not(trajectory))]
     if found < 2:
         return facts
@@ -154,9 +157,8 @@ def _findings(trajectory: Trajectory) -> list[tuple[str, str]]:
     moved = length(float(np.linalg.norm(positions[-1] - positions[0])), trajectory.unit)
     path = length(float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()), trajectory.unit)
     facts.append(("Moved", f"{moved} from the first to the last solved frame, along a path of {path}"))
-    one_camera = len(trajectory.camera_names) == 1
     open_scale = sum(f.observable is Observable.NO_SCALE for f in trajectory)
-    if one_camera:
+    if open_scale and trajectory.unit == FIRST_DISTANCES:
         facts.append(("Scale", "not observable with one camera: lengths are in units of the object's first distance"))
     elif open_scale:
         facts.append(("Scale", f"not observable in {open_scale} frames: how far the object moved in them is not known"))
@@ -183,7 +185,8 @@ def _why_not(trajectory: Trajectory) -> list[str]:
     return said
 
 
-def _per_camera(trajectory: Trajectory) -> list[list[str]]:
+def per_camera(trajectory: Trajectory) -> list[list[str]]:
+    """Rows: a camera, in how many frames it was used, its inliers and its residual in the middle of these."""
     frames = solved(trajectory)
     rows = []
     for c, name in enumerate(trajectory.camera_names):

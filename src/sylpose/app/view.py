@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import __version__, calibration
 from sylpose.app import text
-from sylpose.app.record import USED
+from sylpose.app.record import USED, WORLD
+from sylpose.calibration.world import load_world, told_in
 from sylpose.numerics.angles import PAN_TILT_ROLL, Angles, angles_of
 from sylpose.report.files import read_trajectory, write_trajectory
 from sylpose.report.plots import plot_trajectory
 from sylpose.results import Trajectory
-from sylpose.rig import Camera, camera_at
+from sylpose.rig import Camera, Rig, camera_at
+from sylpose.units import METRES
 from sylpose.view import trajectory_view
 
 __all__ = ["calibration_of", "looked_up", "read_result", "standing", "view_aloud", "write_view"]
@@ -49,11 +55,11 @@ def view_aloud(
     if eye is not None:
         if given is not None:
             raise ValueError("--from places a camera, --calibration looks one up: give one of them")
-        camera = standing(name, eye, at, trajectory)
+        camera = standing(name, eye, at, trajectory, z_up=_beside(result, WORLD) is not None)
     elif at is not None:
         raise ValueError("--at needs --from X Y Z: where the camera stands")
     else:
-        camera = looked_up(name, calibration_of(result, given))
+        camera = looked_up(name, calibration_of(result, given), result)
     about = None if angles is None else angles_of(angles)
     folder = out if out is not None else result if result.is_dir() else result.parent
     text.print_files(text.make_console(), "Files", write_view(trajectory, name, camera, folder, plot_format, about))
@@ -83,11 +89,10 @@ def calibration_of(result: Path, given: Path | None) -> Path:
     """
     if given is not None:
         return given
+    if (used := _beside(result, USED)) is not None:
+        return used
     folder = result if result.is_dir() else result.parent
-    for run in (folder, folder.parent):
-        if (run / USED).is_file():
-            return run / USED
-    for session in (folder.parent, folder.parent.parent):  # of several objects, each has a folder in the run's
+    for session in (folder.parent, folder.parent.parent):
         try:
             return calibration.find(session)
         except (ValueError, OSError):
@@ -95,8 +100,8 @@ def calibration_of(result: Path, given: Path | None) -> Path:
     raise ValueError(f"{result}: no calibration beside it to look the camera up in; say --calibration FILE")
 
 
-def looked_up(name: str, file: Path) -> Camera:
-    """A camera of a calibration.
+def looked_up(name: str, file: Path, result: Path | None = None) -> Camera:
+    """A camera of a calibration; as the world and the unit of a result have it, where there is one.
 
     Raises:
         ValueError: a name that it does not have.
@@ -104,13 +109,41 @@ def looked_up(name: str, file: Path) -> Camera:
     rig = calibration.load(file)
     if name not in rig.names:
         raise ValueError(f"{file}: no camera {name!r} in it ({', '.join(rig.names)})")
-    return rig[name]
+    return (rig if result is None else _as_told(rig, result))[name]
+
+
+def _as_told(rig: Rig, result: Path) -> Rig:
+    """A calibration in the unit of a result and, if by that the cameras that it shares with the result's stand nearer to
+    where these stand, in its world; one that shares none is in that already."""
+    used = _beside(result, USED)
+    if used is None:
+        return rig
+    then = calibration.load(used)
+    shared = [name for name in rig.names if name in then.names]
+    ways, world = [rig], _beside(result, WORLD)
+    if world is not None and shared:
+        ways.append(told_in(rig, load_world(world, rig)))
+    ways = [way.in_unit(then.unit) if {way.unit, then.unit} <= METRES.keys() else way for way in ways]
+    return min(ways, key=lambda way: sum(np.linalg.norm(way[name].center - then[name].center) for name in shared))
+
+
+def _beside(result: Path, name: str) -> Path | None:
+    """A file of the run; of several objects, each has a folder in the run's."""
+    folder = result if result.is_dir() else result.parent
+    return next((run / name for run in (folder, folder.parent) if (run / name).is_file()), None)
 
 
 def standing(
-    name: str, eye: tuple[float, float, float], at: tuple[float, float, float] | None, trajectory: Trajectory
+    name: str,
+    eye: tuple[float, float, float],
+    at: tuple[float, float, float] | None,
+    trajectory: Trajectory,
+    z_up: bool = False,
 ) -> Camera:
     """A virtual camera at a point, upright, that looks at another one: where the object was first, if nothing is said.
+
+    Args:
+        z_up: the world has its z axis up, as worlds of one's own; calibrations mostly have y down.
 
     Raises:
         ValueError: numbers that are not finite; both are one point; a trajectory without poses.
@@ -122,8 +155,10 @@ def standing(
         seen = [pose.position for pose in trajectory if pose.world_from_object is not None]
         if not seen:
             raise ValueError("the trajectory has no poses: nothing to look at")
-        return camera_at(name, eye, seen[0], FOCAL, SIZE)
-    return camera_at(name, eye, at, FOCAL, SIZE)
+        at = tuple(seen[0])
+    y_down_from_z_up = RigidTransform.from_rotation(Rotation.from_euler("x", 90.0 if z_up else 0.0, degrees=True))
+    camera = camera_at(name, y_down_from_z_up.apply(eye), y_down_from_z_up.apply(at), FOCAL, SIZE)
+    return replace(camera, camera_from_world=camera.camera_from_world * y_down_from_z_up)
 
 
 def write_view(

@@ -13,38 +13,19 @@ from multiprocessing.context import SpawnProcess
 from types import TracebackType
 from typing import Any, Self
 
+from sylpose.app.machine import cores, memory_of_machine
 from sylpose.archive.contract import How, Summary, process
 from sylpose.archive.recordings import Recording
 from sylpose.archive.run import Died
 from sylpose.archive.stores import Place
 
-__all__ = ["MEMORY", "Processes", "cores", "default_jobs", "memory_of_machine", "thread_limits"]
+__all__ = ["MEMORY", "Processes", "default_jobs", "thread_limits"]
 
 # Bytes that one recording needs at least (choice: several times what docs/benchmarks.md measures), and the share of the
 # computer's memory that all may have together (choice).
 MEMORY, SHARE = 2 << 30, 0.9
 # Seconds that workers have to end in order after an interrupt (choice).
 PATIENCE = 10.0
-
-
-def cores() -> int:
-    """That this process may use: SLURM and containers give fewer than there are."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def memory_of_machine() -> int | None:
-    """Bytes; what a SLURM job or a container may have where that is less; None where nobody says."""
-    sizes = []
-    with suppress(ValueError, OSError, AttributeError):
-        sizes.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    for file in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
-        with suppress(ValueError, OSError), open(file, encoding="ascii") as limit:
-            sizes.append(int(limit.read()))
-    with suppress(ValueError):
-        sizes.append(int(os.environ.get("SLURM_MEM_PER_NODE", "")) << 20)
-    return min(sizes, default=None)
 
 
 def default_jobs(threads: int) -> int:

@@ -8,9 +8,10 @@ from typing import Any
 import msgspec
 
 from sylpose.calibration.build import convert, make_camera, make_pose, make_rig
+from sylpose.files import toml_string
 from sylpose.rig import Camera, Rig
 
-__all__ = ["CameraTable", "camera_of", "is_anipose", "read"]
+__all__ = ["CameraTable", "camera_of", "is_anipose", "read", "to_text"]
 
 
 class CameraTable(msgspec.Struct):
@@ -52,6 +53,26 @@ def read(data: dict[str, Any], path: Path) -> Rig:
         entry = convert(told, _NamedTable, f"{path}: camera {key}")
         cameras.append(camera_of(path, entry.name or key, entry))
     return make_rig(path, cameras)
+
+
+def to_text(rig: Rig) -> str:
+    """The file's text. Every number is as it was; rotations are vectors, as Anipose has them."""
+    return "".join(_table(i, camera) for i, camera in enumerate(rig)) + "[metadata]\nadjusted = false\n"
+
+
+def _table(i: int, camera: Camera) -> str:
+    pose = camera.camera_from_world
+    error = "" if camera.error_px is None else f"error = {camera.error_px!r}\n"
+    return f"""[cam_{i}]
+name = {toml_string(camera.name)}
+size = {list(camera.size)}
+matrix = {camera.matrix.tolist()}
+distortions = {camera.distortion.tolist()}
+rotation = {pose.rotation.as_rotvec().tolist()}
+translation = {pose.translation.tolist()}
+fisheye = {str(camera.lens == "fisheye").lower()}
+{error}
+"""
 
 
 def camera_of(path: Path, name: str, table: CameraTable) -> Camera:

@@ -22,11 +22,19 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.calibration.build import make_camera, make_pose, make_rig
-from sylpose.calibration.markup import from_json, from_xml, from_yaml
+from sylpose.calibration.build import (
+    Sizes,
+    lens_named,
+    make_camera,
+    make_pose,
+    make_rig,
+    plain,
+    pose_of_matrix,
+    sizes_of,
+)
 from sylpose.rig import Camera, LensModel, Rig
 
-__all__ = ["decode", "is_calibration", "read", "to_text"]
+__all__ = ["error_of", "is_calibration", "lens_of", "pick", "read", "says", "to_text"]
 
 _NAMES = {
     "matrix": ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "intrinsics", "intrinsic", "matrix", "mtx"),
@@ -51,13 +59,6 @@ _NAMES = {
 _TELLING = {n for k in ("matrix", "distortion", "rotation", "translation", "camera_from_world") for n in _NAMES[k]}
 
 _LENS_KEYS = ("lens", "distortion_model", "distortion_type", "camera_model", "model")
-_LENS_NAMES: dict[str, LensModel] = {
-    **dict.fromkeys(
-        ("opencv", "standard", "pinhole", "perspective", "plumb_bob", "radtan", "radial-tangential"), "opencv"
-    ),
-    **dict.fromkeys(("brown", "brown_conrady", "rational", "rational_polynomial", "thin_prism", "tilted"), "opencv"),
-    **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), "fisheye"),
-}
 _FLAGS: dict[str, LensModel] = {
     **dict.fromkeys(("true", "1", "1.0"), "fisheye"),
     **dict.fromkeys(("false", "0", "0.0"), "opencv"),
@@ -69,18 +70,6 @@ _CONVENTIONS = (
 )
 
 
-def decode(text: str) -> Any:
-    """The content of a file as dicts, lists, numbers and strings; YAML without its header is taken too.
-
-    Raises:
-        ValueError, RecursionError: with the reason, which `reading.told` completes with the file's name.
-    """
-    text = text.lstrip()
-    if text.startswith("{"):
-        return from_json(text)
-    return from_xml(text) if text.startswith("<") else from_yaml(text)
-
-
 def is_calibration(data: Any) -> bool:
     """Whether a decoded file has cameras in one of the layouts that `read` takes, or at least one camera's lens."""
     return isinstance(data, dict) and (
@@ -90,8 +79,11 @@ def is_calibration(data: Any) -> bool:
     )
 
 
-def read(data: dict[str, Any], path: Path) -> Rig:
+def read(data: dict[str, Any], path: Path, sizes: Sizes | None = None) -> Rig:
     """The rig of a decoded file.
+
+    Args:
+        sizes: of the images of cameras whose node has none; None where nothing tells them.
 
     Raises:
         ValueError: naming the file, and the camera where there is one.
@@ -102,8 +94,9 @@ def read(data: dict[str, Any], path: Path) -> Rig:
     unit = data.get("unit", "")
     if not isinstance(unit, str):
         raise ValueError(f"{path}: unit must be a string, got {unit!r}")
-    whole = _error(data, str(path))
-    return make_rig(path, [_camera(node, name, path, whole) for name, node in nodes], unit)
+    whole = error_of(data, str(path))
+    known = {} if sizes is None else _sizes_known(nodes, path, sizes)
+    return make_rig(path, [_camera(node, name, path, whole, known.get(name)) for name, node in nodes], unit)
 
 
 def to_text(rig: Rig, suffix: str) -> str:
@@ -139,7 +132,7 @@ def _camera_nodes(data: dict[str, Any], path: Path) -> list[tuple[str, dict[str,
     if isinstance(cameras, list):
         nodes = []
         for i, node in enumerate(cameras):
-            name = _pick(node, "name", f"{path}: cameras[{i}]") if isinstance(node, dict) else None
+            name = pick(node, "name", f"{path}: cameras[{i}]") if isinstance(node, dict) else None
             if not isinstance(name, str):
                 raise ValueError(f"{path}: cameras[{i}] must be a map with a key 'name'")
             nodes.append((name, node))
@@ -166,10 +159,18 @@ def _multical_poses(poses: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _camera(node: dict[str, Any], name: str, path: Path, whole: float | None) -> Camera:
+def _sizes_known(nodes: list[tuple[str, dict[str, Any]]], path: Path, sizes: Sizes) -> dict[str, tuple[int, int]]:
+    """Of cameras that say nothing of their size."""
+    said = [name for key in ("size", "width", "height") for name in _NAMES[key]]
+    without = [name for name, node in nodes if all(node.get(key) is None for key in said)]
+    known = sizes_of(path, [name for name, _ in nodes], sizes) if without else {}
+    return {name: known[name] for name in without}
+
+
+def _camera(node: dict[str, Any], name: str, path: Path, whole: float | None, known: tuple[int, int] | None) -> Camera:
     where = f"{path}: camera {name}"
-    own = _error(node, where)
-    size = _pick(node, "size", where)
+    own = error_of(node, where)
+    size = pick(node, "size", where) if known is None else known
     if size is None:
         size = [_require(node, "width", where), _require(node, "height", where)]
     return make_camera(
@@ -179,13 +180,14 @@ def _camera(node: dict[str, Any], name: str, path: Path, whole: float | None) ->
         matrix=_require(node, "matrix", where),
         distortion=_require(node, "distortion", where),
         camera_from_world=_pose(node, name, path),
-        lens=_lens(node, where),
+        lens=lens_of(node, where),
         error_px=whole if own is None else own,
     )
 
 
-def _error(node: dict[str, Any], where: str) -> float | None:
-    value = _pick(node, "error", where)
+def error_of(node: dict[str, Any], where: str) -> float | None:
+    """What a camera, or all of them, say of their reprojection error, pixels; None where that is nothing."""
+    value = pick(node, "error", where)
     if value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)):
         return value
     raise ValueError(f"{where}: the reprojection error must be a number of pixels, got {value!r}")
@@ -193,33 +195,26 @@ def _error(node: dict[str, Any], where: str) -> float | None:
 
 def _pose(node: dict[str, Any], name: str, path: Path) -> RigidTransform:
     where = f"{path}: camera {name}"
-    given = {key: value for key in ("camera_from_world", "world_from_camera") if (value := _pick(node, key, where))}
+    given = {key: value for key in ("camera_from_world", "world_from_camera") if (value := pick(node, key, where))}
     if not given:
         return make_pose(path, name, _require(node, "rotation", where), _require(node, "translation", where))
-    if len(given) == 2 or _pick(node, "rotation", where) is not None:
+    if len(given) == 2 or pick(node, "rotation", where) is not None:
         raise ValueError(f"{where}: its pose is given twice; keep one")
     key, value = given.popitem()
-    try:
-        matrix = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        matrix = np.empty(0)
-    if matrix.shape not in ((3, 4), (4, 4)) or (len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1])):
-        raise ValueError(f"{where}: {key} must be a 3x4 or 4x4 matrix [R t]")
-    pose = make_pose(path, name, matrix[:3, :3], matrix[:3, 3])
+    pose = pose_of_matrix(path, name, key, value)
     return pose if key == "camera_from_world" else pose.inv()
 
 
-def _lens(node: dict[str, Any], where: str) -> LensModel:
+def lens_of(node: dict[str, Any], where: str) -> LensModel:
+    """The lens model that a camera's keys name; OpenCV's standard one where they name none."""
     found: set[LensModel] = set()
     for key in _LENS_KEYS:
         if (value := node.get(key)) is None:
             continue
-        model = str(value).lower()
-        if model not in _LENS_NAMES:
-            raise ValueError(f"{where}: {key} {value!r} is not known; known are {', '.join(_LENS_NAMES)}")
+        model = lens_named(value, where, key)
         # A "pinhole" camera with an "equidistant" lens is Kalibr's way to say fisheye.
-        if model != "pinhole":
-            found.add(_LENS_NAMES[model])
+        if str(value).lower() != "pinhole":
+            found.add(model)
     if (fisheye := node.get("fisheye")) is not None:
         # true is 1.0 after OpenCV has read it from YAML, and "true" from XML.
         if str(fisheye).lower() not in _FLAGS:
@@ -231,22 +226,20 @@ def _lens(node: dict[str, Any], where: str) -> LensModel:
 
 
 def _require(node: dict[str, Any], key: str, where: str) -> Any:
-    value = _pick(node, key, where)
+    value = pick(node, key, where)
     if value is None:
         raise ValueError(f"{where}: missing key {_NAMES[key][0]!r} (or {', '.join(_NAMES[key][1:])})")
     return value
 
 
-def _pick(node: dict[str, Any], key: str, where: str) -> Any:
+def says(node: dict[str, Any], *keys: str) -> bool:
+    """Whether a camera has values under names of all these keys."""
+    return all(any(node.get(name) is not None for name in _NAMES[key]) for key in keys)
+
+
+def pick(node: dict[str, Any], key: str, where: str) -> Any:
     """The value that a camera has under one of the key's names, as plain numbers; None if there is none."""
     names = [name for name in _NAMES[key] if node.get(name) is not None]
     if len(names) > 1:
         raise ValueError(f"{where}: {' and '.join(names)} mean the same; keep one")
-    value = node[names[0]] if names else None
-    if not isinstance(value, dict):
-        return value
-    # OpenCV's own matrices, and ROS's.
-    try:
-        return np.reshape(value["data"], (int(value["rows"]), int(value["cols"]))).tolist()
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise ValueError(f"{where}: {names[0]} must be a matrix with rows, cols and as much data") from None
+    return plain(node[names[0]], f"{where}: {names[0]}") if names else None

@@ -1,4 +1,4 @@
-"""YAML, JSON and XML as OpenCV's FileStorage writes them, as plain values: dicts, lists, numbers, strings.
+"""YAML, JSON and XML as plain values: dicts, lists, numbers, strings; and any XML as elements.
 
 Not by OpenCV, whose parsers end the process on files that are nested deep. Numbers are floats, true and false 1 and 0.
 """
@@ -14,8 +14,9 @@ import yaml
 
 from sylpose.reading import MAX_DEPTH
 
-__all__ = ["from_json", "from_xml", "from_yaml"]
+__all__ = ["documents", "elements", "from_json", "from_xml", "from_yaml"]
 
+NO_DOCTYPE = "XML with a document type (<!DOCTYPE>) is not read"
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 _WORDS = {
     "true": 1.0,
@@ -51,11 +52,20 @@ def from_yaml(text: str) -> Any:
     Raises:
         ValueError: with the reason, for `told`.
     """
+    return next(iter(documents(text, 1)), None)
+
+
+def documents(text: str, most: int = 1000) -> list[Any]:
+    """The contents of YAML's documents, of the first `most` of them.
+
+    Raises:
+        ValueError: with the reason, for `told`.
+    """
     if text.startswith("%YAML"):  # OpenCV 4 writes %YAML:1.0, which is none of YAML's own
         text = "\n" + text.partition("\n")[2]
     text = re.sub(r"\\(.)", lambda m: "'" if m[1] == "'" else m[0], text)  # nor is \' of YAML
     try:
-        return _from_events(text)
+        return _from_events(text, most)
     except yaml.MarkedYAMLError as error:
         line = f" (line {error.problem_mark.line + 1})" if error.problem_mark else ""
         raise ValueError(f"not valid YAML: {error.problem or error.context}{line}") from None
@@ -63,7 +73,7 @@ def from_yaml(text: str) -> Any:
         raise ValueError(f"not valid YAML: {error}") from None
 
 
-def _from_events(text: str) -> Any:
+def _from_events(text: str, most: int) -> list[Any]:
     """Without recursion: a list of what is open, each a list of its values, or of keys and values in turn."""
     stack: list[list[Any]] = [[]]
     for event in yaml.parse(text, Loader=_YAML_LOADER):
@@ -79,9 +89,9 @@ def _from_events(text: str) -> Any:
         elif isinstance(event, yaml.CollectionEndEvent):
             done = stack.pop()
             stack[-1].append(_unique(zip(done[::2], done[1::2], strict=True)) if isinstance(done, _Map) else done)
-        elif isinstance(event, yaml.DocumentEndEvent):
+        elif isinstance(event, yaml.DocumentEndEvent) and len(stack[0]) >= most:
             break
-    return stack[0][0] if stack[0] else None
+    return stack[0]
 
 
 class _Map(list[Any]):
@@ -102,6 +112,41 @@ def from_xml(text: str) -> Any:
         raise ValueError(f"not valid XML: {error}") from None
 
 
+def elements(text: str) -> ElementTree.Element:
+    """The root of any XML.
+
+    Raises:
+        ValueError: with the reason, for `told`; for a document type, which may have entities, too.
+    """
+    parser = ElementTree.XMLParser(target=_Elements())
+    try:
+        parser.feed(text)
+        root = parser.close()
+    except ElementTree.ParseError as error:
+        raise ValueError(f"not valid XML: {error}") from None
+    assert isinstance(root, ElementTree.Element)
+    return root
+
+
+class _Elements(ElementTree.TreeBuilder):
+    """Elements, but not nested deep, and without document types."""
+
+    _depth = 0
+
+    def doctype(self, *_: Any) -> None:
+        raise ValueError(NO_DOCTYPE)
+
+    def start(self, tag: str, attrs: dict[Any, Any], /) -> ElementTree.Element:
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            raise ValueError(f"elements are nested more than {MAX_DEPTH} deep")
+        return super().start(tag, attrs)
+
+    def end(self, tag: str, /) -> ElementTree.Element:
+        self._depth -= 1
+        return super().end(tag)
+
+
 class _Builder:
     """What `ElementTree`'s parser tells of a document, as plain values."""
 
@@ -109,7 +154,7 @@ class _Builder:
         self._stack: list[tuple[list[tuple[str, Any]], list[str]]] = [([], [])]
 
     def doctype(self, *_: Any) -> None:
-        raise ValueError("XML with a document type (<!DOCTYPE>) is not read")
+        raise ValueError(NO_DOCTYPE)
 
     def start(self, tag: str, _: dict[str, str]) -> None:
         if len(self._stack) == 1 and tag != "opencv_storage":

@@ -20,7 +20,7 @@ from sylpose.numerics.arrays import BoolArray, IntArray
 from sylpose.reading import parsed_toml, text_of, told
 from sylpose.rig import Rig
 
-__all__ = ["UNNAMED", "Masks", "check_first_masks", "find_masks", "load_boxes", "object_names"]
+__all__ = ["UNNAMED", "Masks", "boxes_in", "check_first_masks", "find_masks", "load_boxes", "object_names"]
 
 # The name of the only object where none is given.
 UNNAMED = "object"
@@ -69,7 +69,15 @@ def load_boxes(path: Path, rig: Rig) -> dict[str, dict[str, Box]]:
     """
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file of boxes")
-    text = text_of(path)
+    return boxes_in(text_of(path), rig, path)
+
+
+def boxes_in(text: str, rig: Rig, path: Path) -> dict[str, dict[str, Box]]:
+    """The same from a text: what is in a file, or will be.
+
+    Raises:
+        ValueError: as `load_boxes`.
+    """
     with told(path):
         return _boxes_in(text, rig, path)
 

@@ -14,9 +14,10 @@ from typing import Self
 import numpy as np
 
 from sylpose import calibration as calibrations
+from sylpose.calibration.world import World, told_in
 from sylpose.capture.boxes import Masks, check_first_masks, find_masks, load_boxes, object_names
 from sylpose.capture.readers import CameraReader, Reading, check_readable
-from sylpose.capture.sources import Source, find_sources
+from sylpose.capture.sources import Source, find_sources, sizes_in
 from sylpose.capture.timeline import Timeline, build_timeline, load_timestamps
 from sylpose.frames import Box, FrameSet
 from sylpose.numerics.arrays import BoolArray
@@ -37,6 +38,7 @@ class SessionBase:
         objects: the objects' names; "object" for one that has none. All of them have boxes or none, and masks or none.
         masks: the folder of masks, or None.
         warnings: sentences about what looks wrong but can be worked with.
+        world: of one's own, in which the rig is told; None in the calibration's.
     """
 
     path: Path
@@ -47,6 +49,7 @@ class SessionBase:
     warnings: tuple[str, ...]
     _boxes: dict[str, dict[str, Box]] = field(repr=False)
     _masks: dict[str, tuple[Masks, ...]] = field(repr=False)
+    world: World | None = field(default=None, kw_only=True)
 
     @property
     def boxes(self) -> dict[str, Box]:
@@ -84,6 +87,16 @@ class SessionBase:
                 f"rig: the cameras {', '.join(self.rig.names)} of {self.path} and their sizes are expected"
             )
         return replace(self, rig=rig)
+
+    def told_in(self, world: World) -> Self:
+        """The same in a world of one's own, which is found in the calibration's.
+
+        Raises:
+            ValueError: it is told in another one already, or as `calibration.world.told_in`.
+        """
+        if self.world is not None:
+            raise ValueError(f"world: {self.path} is told in {self.world.said or 'another one'} already")
+        return replace(self.with_rig(told_in(self.rig, world)), world=world)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +238,6 @@ def _opened(
     if not path.is_dir():
         raise ValueError(f"{path}: a folder with one video or image folder per camera is expected, not a file")
     calibration = calibrations.find(path) if calibration is None else Path(calibration)
-    rig = calibrations.load(calibration)
     boxes = None if boxes is None else Path(boxes)
     masks = None if masks is None else Path(masks)
     if boxes is None and (path / "boxes.toml").is_file():
@@ -233,9 +245,9 @@ def _opened(
     if masks is None and (path / "masks").is_dir():
         masks = path / "masks"
 
-    sources, warnings = find_sources(
-        path, rig, calibration, not_cameras=[] if masks is None else [masks], named=cameras
-    )
+    others = [] if masks is None else [masks]
+    rig = calibrations.load(calibration, lambda names: sizes_in(path, names, calibration, others, cameras))
+    sources, warnings = find_sources(path, rig, calibration, not_cameras=others, named=cameras)
     for source in sources:
         check_readable(source)
     stamps_file = path / "timestamps.csv"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import av
 import av.error
@@ -13,11 +13,11 @@ from av.container import InputContainer
 from av.video.stream import VideoStream
 
 from sylpose.capture.images import image_size, read_image
-from sylpose.capture.names import image_files, image_numbers, match_names
+from sylpose.capture.names import image_files, image_numbers, match_names, several_of
 from sylpose.reading import Unreadable, resolved
 from sylpose.rig import Camera, Rig
 
-__all__ = ["NO_CAMERAS", "VIDEO_SUFFIXES", "Source", "find_sources", "open_video", "source_of"]
+__all__ = ["NO_CAMERAS", "VIDEO_SUFFIXES", "Source", "find_sources", "open_video", "sizes_in", "source_of"]
 
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv", ".ogv"}
@@ -28,6 +28,8 @@ ONLY_VIDEOS = {
     "protocol_whitelist": "file",
     "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,mpeg,mpegvideo,mpegts,asf,flv,live_flv,ogg",
 }
+# A title that is no UTF-8 is no reason to refuse a video. PyAV takes any from version 19 on, and has to be told before.
+ANY_TITLE: dict[str, Any] = {} if int(av.__version__.partition(".")[0]) >= 19 else {"metadata_errors": "replace"}
 # What sylpose writes, or reads as something else than a camera.
 NO_CAMERAS = frozenset({"sylpose", "masks", "overlay"})
 
@@ -79,10 +81,50 @@ def find_sources(
         ValueError: cameras without source and sources without camera (all named), a video that cannot be read,
             an image size that differs from the calibration's.
     """
-    by_camera = _named(path, rig, calibration, named or {})
-    left = [name for name in rig.names if name not in by_camera]
+    by_camera = _entries(path, rig.names, calibration, not_cameras, named)
+    warnings: list[str] = []
+    sources = []
+    for camera in rig:
+        entry = by_camera[camera.name]
+        sources.append(_probe_images(entry, camera) if entry.is_dir() else _probe_video(entry, camera, warnings))
+    return tuple(sources), warnings
+
+
+def sizes_in(
+    path: Path,
+    cameras: Sequence[str],
+    calibration: Path,
+    not_cameras: Iterable[Path] = (),
+    named: Mapping[str, Path | str] | None = None,
+) -> dict[str, tuple[int, int]]:
+    """How large the images of cameras are, of which the calibration does not say it.
+
+    Raises:
+        FileNotFoundError, ValueError: as `find_sources`.
+    """
+    sizes = {}
+    for name, entry in _entries(path, cameras, calibration, not_cameras, named).items():
+        if entry.is_dir():
+            sizes[name] = image_size(image_files(entry)[0])
+            continue
+        container, stream = open_video(entry)
+        with container:
+            sizes[name] = (stream.width, stream.height)
+    return sizes
+
+
+def _entries(
+    path: Path,
+    cameras: Sequence[str],
+    calibration: Path,
+    not_cameras: Iterable[Path],
+    named: Mapping[str, Path | str] | None,
+) -> dict[str, Path]:
+    """The video or folder of images of each camera."""
+    by_camera = _named(path, cameras, calibration, named or {})
+    left = [name for name in cameras if name not in by_camera]
     others = {resolved(folder) for folder in (*not_cameras, *by_camera.values())}
-    found = [entry for entry in sorted(path.iterdir()) if _is_source(entry, rig) and resolved(entry) not in others]
+    found = [entry for entry in sorted(path.iterdir()) if _is_source(entry, cameras) and resolved(entry) not in others]
     if not found and left:
         raise ValueError(f"{path}: no videos and no folders of images, one per camera, in this folder")
     names = {entry: entry.name if entry.is_dir() else entry.stem for entry in found}
@@ -96,31 +138,31 @@ def find_sources(
             raise ValueError(f"{path}: {by_camera[name].name} and {entry.name} are both for camera {name}")
         if name is not None:
             by_camera[name] = entry
-    missing = [name for name in rig.names if name not in by_camera]
+    missing = [name for name in cameras if name not in by_camera]
     # Where some were named, others may lie beside them.
     extra = [entry.name for entry in found if names[entry] not in matched] if not named else []
+    if missing and (first := several_of(list(names.values()), left)):
+        several = ", ".join(entry.name for entry in found if names[entry] in first)
+        raise ValueError(
+            f"{path}: several recordings in one folder ({several} are all of camera {left[0]}); --camera NAME=FILE, for "
+            "each camera, takes one of them"
+        )
     if missing or extra:
         wrong = []
         if missing:
             wrong.append(f"no video or image folder for camera {', '.join(missing)} of {calibration.name}")
         if extra:
-            wrong.append(f"no camera in {calibration.name} ({', '.join(rig.names)}) for {', '.join(extra)}")
-        listed = ", ".join(entry.name for entry in found)
-        raise ValueError(f"{path}: {'; '.join(wrong)}; found {listed}; --camera NAME=FILE says which is which")
-
-    warnings: list[str] = []
-    sources = []
-    for camera in rig:
-        entry = by_camera[camera.name]
-        sources.append(_probe_images(entry, camera) if entry.is_dir() else _probe_video(entry, camera, warnings))
-    return tuple(sources), warnings
+            wrong.append(f"no camera in {calibration.name} ({', '.join(cameras)}) for {', '.join(extra)}")
+        listed = "" if len(extra) == len(found) else f"; found {', '.join(entry.name for entry in found)}"
+        raise ValueError(f"{path}: {'; '.join(wrong)}{listed}; --camera NAME=FILE says which is which")
+    return by_camera
 
 
-def _named(path: Path, rig: Rig, calibration: Path, named: Mapping[str, Path | str]) -> dict[str, Path]:
+def _named(path: Path, cameras: Sequence[str], calibration: Path, named: Mapping[str, Path | str]) -> dict[str, Path]:
     entries: dict[str, Path] = {}
     for name, file in named.items():
-        if name not in rig.names:
-            raise ValueError(f"cameras: {name!r} is no camera of {calibration.name} ({', '.join(rig.names)})")
+        if name not in cameras:
+            raise ValueError(f"cameras: {name!r} is no camera of {calibration.name} ({', '.join(cameras)})")
         entry = path / file
         if not entry.exists():
             raise FileNotFoundError(f"{entry}: no such video or folder of images, for camera {name}")
@@ -142,7 +184,7 @@ def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
     if not path.is_file():
         raise Unreadable(f"{path}: a video is expected, not a folder, a pipe or a device")
     try:
-        container = av.open(str(path.absolute()), options=ONLY_VIDEOS, metadata_errors="replace")
+        container = av.open(str(path.absolute()), options=ONLY_VIDEOS, **ANY_TITLE)
     except av.error.FFmpegError as error:
         raise ValueError(f"{path}: cannot be opened as a video ({error.strerror})") from None
     if not container.streams.video:
@@ -154,9 +196,9 @@ def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
     return container, stream
 
 
-def _is_source(entry: Path, rig: Rig) -> bool:
+def _is_source(entry: Path, cameras: Sequence[str]) -> bool:
     name = entry.name if entry.is_dir() else entry.stem
-    if entry.name.startswith(".") or (name.lower() in NO_CAMERAS and name not in rig.names):
+    if entry.name.startswith(".") or (name.lower() in NO_CAMERAS and name not in cameras):
         return False
     if entry.is_dir():
         # A folder with a trajectory, or the picture of the rig, is the output of an earlier run.

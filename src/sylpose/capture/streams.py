@@ -19,6 +19,7 @@ from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
 
 from sylpose.capture.assembly import TICK, Assembler, Grab, Shot
+from sylpose.capture.sources import ANY_TITLE
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import Image
 from sylpose.rig import Camera
@@ -61,7 +62,7 @@ class _Stream:
     def __init__(self, url: str) -> None:
         options = OPTIONS if url.startswith("rtsp") else {k: v for k, v in OPTIONS.items() if k != "rtsp_transport"}
         try:
-            self._container = av.open(url, options=options, timeout=(TIMEOUT, TIMEOUT), metadata_errors="replace")
+            self._container = av.open(url, options=options, timeout=(TIMEOUT, TIMEOUT), **ANY_TITLE)
         except av.error.FFmpegError as error:
             raise OSError(_reason(error)) from None
         if not self._container.streams.video:

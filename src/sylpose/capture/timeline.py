@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +27,14 @@ class Timeline:
         times: (n,) seconds; the instants' numbers when there are neither time stamps nor a frame rate.
         stamps: (n, C) each camera's own time stamp, seconds; NaN for none.
         rate: instants per second on average, or None.
+        offsets: by camera, the frames by which it starts late, as they were given.
     """
 
     frames: IntArray
     times: FloatArray
     stamps: FloatArray
     rate: float | None
+    offsets: Mapping[str, int] = field(default_factory=dict)
 
 
 def load_timestamps(path: Path, cameras: Sequence[str]) -> FloatArray:
@@ -133,7 +135,7 @@ def build_timeline(
                 f"The videos' frame rates differ ({listed}); {its_rate:.6g} per second is used for the times."
             )
         times = np.arange(len(frames)) / (its_rate or 1.0)
-    return Timeline(frames, times, stamps, its_rate), warnings
+    return Timeline(frames, times, stamps, its_rate, dict(offsets or {})), warnings
 
 
 def _numbers(row: list[str], frame: int, columns: int, where: str) -> FloatArray:

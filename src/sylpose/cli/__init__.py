@@ -1,5 +1,5 @@
-"""The command line: `sylpose track`, `batch`, `check`, `sync`, `view`, `demo`, `experiments`, `node`, `nodes`,
-`network` and `calibration`.
+"""The command line: `sylpose track`, `batch`, `check`, `box`, `sync`, `show`, `view`, `report`, `demo`, `experiments`,
+`export`, `compare`, `node`, `nodes`, `network`, `calibration`, `object`, `pose` and `doctor`.
 
 Everything but the options is imported where it is used: the tracker and matplotlib take a second each, which `--help` does
 not need.
@@ -18,9 +18,22 @@ from sylpose import __version__
 from sylpose.cli.asked import app
 
 # Loading them gives them to the app, in the order of `--help`.
-from sylpose.cli import track, batch, recordings, studies, network, calibrations  # isort: skip
+from sylpose.cli import track, batch, recordings, studies, results, network, calibrations, objects, poses, doctor  # isort: skip
 
-__all__ = ["app", "batch", "calibrations", "main", "network", "recordings", "studies", "track"]
+__all__ = [
+    "app",
+    "batch",
+    "calibrations",
+    "doctor",
+    "main",
+    "network",
+    "objects",
+    "poses",
+    "recordings",
+    "results",
+    "studies",
+    "track",
+]
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -19,6 +19,7 @@ __all__ = [
     "WRONG_INPUT",
     "Axes",
     "BoxesFile",
+    "Browser",
     "CalibrationFile",
     "CameraFiles",
     "MasksFolder",
@@ -26,12 +27,16 @@ __all__ = [
     "OutFolder",
     "Overlay",
     "PlotFormat",
+    "Port",
     "Rate",
     "RefineCalibration",
     "Seed",
     "SessionPath",
     "Stop",
     "Unit",
+    "World",
+    "WorldFrame",
+    "WorldFrom",
     "app",
     "examples",
     "fail",
@@ -99,7 +104,8 @@ SessionPath = Annotated[
     typer.Argument(metavar="SESSION", help="Folder with one video (cam_0.mp4) or one folder of images per camera."),
 ]
 CalibrationFile = Annotated[
-    Path | None, typer.Option("--calibration", metavar="FILE", help="Calibration; found in SESSION when it is there.")
+    Path | None,
+    typer.Option("--calibration", metavar="PATH", help="Calibration, a file or folder; found in SESSION if there."),
 ]
 BoxesFile = Annotated[
     Path | None,
@@ -139,11 +145,29 @@ Unit = Annotated[
         "--unit", metavar="|".join(METRES), help="Of all lengths in the results; the calibration's by default."
     ),
 ]
+World = Annotated[
+    str | None,
+    typer.Option(
+        "--world",
+        metavar="WORLD",
+        help="A world of your own, z up: a board on the floor (chessboard:9x6,square=25mm), up=0,-1,0 in the calibration's, "
+        "or a file (world.toml, or three points: docs/formats.md).",
+    ),
+]
+WorldFrame = Annotated[
+    int | None, typer.Option("--world-frame", metavar="N", min=0, help="The frame that shows the board; the first one.")
+]
+WorldFrom = Annotated[
+    Path | None,
+    typer.Option("--world-from", metavar="DIR", help="Images or videos that show the board, instead of SESSION."),
+]
 OutFolder = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Where the results go; SESSION/sylpose by default.")
 ]
 Stop = Annotated[int | None, typer.Option(metavar="N", help="The frame to stop before; all by default.")]
 Overlay = Annotated[bool, typer.Option("--overlay/--no-overlay", help="Write overlay.mp4.")]
+Port = Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Of the page; 0: any that is free.")]
+Browser = Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")]
 RefineCalibration = Annotated[
     bool, typer.Option("--refine-calibration", help="Smooth; write calibration.refined.toml, too.")
 ]

@@ -1,7 +1,8 @@
-"""`sylpose check` and `sylpose sync`."""
+"""`sylpose check`, `sylpose box` and `sylpose sync`."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,23 +10,28 @@ import typer
 
 from sylpose.cli.asked import (
     BoxesFile,
+    Browser,
     CalibrationFile,
     CameraFiles,
     MasksFolder,
     Offsets,
     OutFolder,
+    Port,
     Rate,
     Seed,
     SessionPath,
     Stop,
     Unit,
+    World,
+    WorldFrame,
+    WorldFrom,
     app,
     examples,
     fail,
     spoken,
 )
 
-__all__ = ["check", "sync"]
+__all__ = ["box", "check", "sync"]
 
 
 @app.command(
@@ -43,15 +49,64 @@ def check(
     camera: CameraFiles = None,
     rate: Rate = None,
     unit: Unit = None,
+    world: World = None,
+    world_frame: WorldFrame = None,
+    world_from: WorldFrom = None,
 ) -> None:
     """What sylpose understands of a recording, and what looks wrong with it.
 
-    Draws the rig from above and from the side into OUT/rig.png.
+    Draws the rig from above and from the side into OUT/rig.png; with --world its axes into OUT/world.png.
     """
     from sylpose.app.check import check_aloud
     from sylpose.app.opening import open_recorded
+    from sylpose.app.world import asked_world
 
-    check_aloud(open_recorded(session, calibration, boxes, masks, offset, camera, rate, unit), out)
+    asked = asked_world(world, world_frame, world_from)
+    check_aloud(open_recorded(session, calibration, boxes, masks, offset, camera, rate, unit, asked), out)
+
+
+@app.command(
+    short_help="Draw boxes of the object on a page in the browser.",
+    epilog=examples("sylpose box recording", "sylpose box recording --start 100 --out at_100.toml"),
+)
+@spoken
+def box(
+    session: SessionPath,
+    calibration: CalibrationFile = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where the boxes go; SESSION/boxes.toml by default.")
+    ] = None,
+    masks: MasksFolder = None,
+    offset: Offsets = None,
+    camera: CameraFiles = None,
+    rate: Rate = None,
+    start: Annotated[int, typer.Option(metavar="N", help="The frame to draw into: the first to track.")] = 0,
+    port: Port = 0,
+    browser: Browser = True,
+) -> None:
+    """Draw boxes of the object, or of several, into the first frame of each camera, on a page in the browser.
+
+    The box in one camera shows in all others where the object may be; two suggest the rest. Begins with the boxes that
+    there are. Only this computer can open the page.
+    """
+    from sylpose.app.box import box_aloud
+    from sylpose.app.opening import open_recorded
+    from sylpose.capture.live import is_live
+
+    if is_live(session):
+        raise ValueError(f"{session}: of live cameras; boxes are drawn into recordings")
+    there = out if out is not None and out.exists() else None
+    opened = open_recorded(session, calibration, there, masks, offset, camera, rate)
+    given: dict[str, Sequence[object] | None] = {
+        "--calibration": [calibration],
+        "--masks": [masks],
+        "--frame-offset": offset,
+        "--camera": camera,
+        "--rate": [rate],
+    }
+    words = [(name, str(value)) for name, values in given.items() for value in values or () if value is not None]
+    options = [word for pair in words for word in pair]
+    box_aloud(opened, out, options, start=start, port=port, browser=browser)
 
 
 @app.command(

@@ -1,4 +1,4 @@
-"""`sylpose demo`, `sylpose view` and `sylpose experiments`."""
+"""`sylpose demo`, `sylpose show`, `sylpose view`, `sylpose report` and `sylpose experiments`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import Axes, PlotFormat, Seed, app, examples, fail, spoken
+from sylpose.cli.asked import Axes, Browser, PlotFormat, Port, Seed, app, examples, fail, spoken
 
-__all__ = ["demo", "experiments", "view"]
+__all__ = ["demo", "experiments", "report", "show", "view"]
 
 
 @app.command(
@@ -33,6 +33,37 @@ def demo(
 
     if failures := demo_aloud(out, frames=frames, turn_deg=turn, n_cameras=cameras, seed=seed):
         fail(failures)
+
+
+@app.command(
+    short_help="A result in 3D, on a page in the browser.",
+    epilog=examples("sylpose show recording/sylpose", "sylpose show recording/sylpose --save scene.html"),
+)
+@spoken
+def show(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote.")],
+    calibration: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Of the cameras; the one that the run used by default.")
+    ] = None,
+    recording: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where the recording is now, if it was moved: for the images.")
+    ] = None,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write a page that plays it by itself, and end.")
+    ] = None,
+    host: Annotated[
+        str, typer.Option(metavar="HOST", help="Where the page listens; 0.0.0.0 for other computers, too.")
+    ] = "127.0.0.1",
+    port: Port = 0,
+    browser: Browser = True,
+) -> None:
+    """Cameras with their images, the object and its path, frame by frame, on a page in the browser. Ctrl-C ends it.
+
+    Needs the extra `viewer`: pip install 'sylpose[viewer]'.
+    """
+    from sylpose.app.show import show_aloud
+
+    show_aloud(result, calibration, recording, save=save, host=host, port=port, browser=browser)
 
 
 @app.command(
@@ -72,6 +103,24 @@ def view(
     from sylpose.app.view import view_aloud
 
     view_aloud(result, camera, calibration, eye, at, out, plot_format, angles)
+
+
+@app.command(
+    short_help="The page of a finished run, made anew.",
+    epilog=examples("sylpose report recording/sylpose"),
+)
+@spoken
+def report(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote.")],
+) -> None:
+    """Make report.html of a finished run anew: after an edit, or of a run of an older version.
+
+    It is made of the files in the folder. Its images are those of the page that is there, or of the recording where there
+    is none.
+    """
+    from sylpose.app.report import report_aloud
+
+    report_aloud(result)
 
 
 @app.command(

@@ -10,6 +10,7 @@ import typer
 from sylpose.cli.asked import (
     Axes,
     BoxesFile,
+    Browser,
     CalibrationFile,
     CameraFiles,
     MasksFolder,
@@ -17,12 +18,16 @@ from sylpose.cli.asked import (
     OutFolder,
     Overlay,
     PlotFormat,
+    Port,
     Rate,
     RefineCalibration,
     Seed,
     SessionPath,
     Stop,
     Unit,
+    World,
+    WorldFrame,
+    WorldFrom,
     app,
     examples,
     fail,
@@ -107,11 +112,19 @@ def track(
     rate: Rate = None,
     camera: CameraFiles = None,
     unit: Unit = None,
+    world: World = None,
+    world_frame: WorldFrame = None,
+    world_from: WorldFrom = None,
     angles: Axes = None,
     poses: Annotated[
         str | None,
         typer.Option(metavar="TO", help="Tell each pose as a line of JSON: - for stdout, or udp://HOST:PORT."),
     ] = None,
+    show: Annotated[
+        bool, typer.Option("--show", help="Show it in 3D meanwhile, on a page in the browser: see sylpose show.")
+    ] = False,
+    port: Port = 0,
+    browser: Browser = True,
     plot_format: PlotFormat = "png",
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say only what looks wrong, on stderr.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say a line for each frame.")] = False,
@@ -120,14 +133,15 @@ def track(
     """The object's pose in every frame of a recording, or of live cameras (a folder with live.toml).
 
     Writes trajectory.tum (time tx ty tz qx qy qz qw), trajectory.csv (with angles, uncertainty, status, inliers and
-    residuals), report.png and overlay.mp4 into OUT; of several objects, each into a folder of its own. Without boxes and
-    masks, the object is what moves against the standing background.
+    residuals), report.html, report.png and overlay.mp4 into OUT; of several objects, each into a folder of its own.
+    Without boxes and masks, the object is what moves against the standing background.
     """
     from sylpose.app.aloud import track_aloud, why_nothing
     from sylpose.app.check import axes_miss, concerns
     from sylpose.app.object_files import known_objects
     from sylpose.app.opening import open_asked
     from sylpose.app.run import has_ended, output_path
+    from sylpose.app.world import asked_world
     from sylpose.sync.offsets import find_offsets
 
     features_of(method, features)
@@ -143,6 +157,7 @@ def track(
         rate=rate,
         camera=camera,
         unit=unit,
+        world=asked_world(world, world_frame, world_from),
     )
     if resume and has_ended(opened, out):
         print(f"{output_path(opened, out)}: the run there has ended; there is nothing to resume")
@@ -169,6 +184,9 @@ def track(
         quiet=quiet,
         verbose=verbose,
         poses=poses,
+        show=show,
+        port=port,
+        browser=browser,
     )
     missing = why_nothing(opened, run)
     # What looked wrong from the start may be why, and has gone by long ago.

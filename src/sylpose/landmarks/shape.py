@@ -91,7 +91,8 @@ def size_of(extents: Sequence[Extent], radius: float) -> tuple[float, float]:
             both = np.isfinite(a.height) & np.isfinite(b.height)
             offs.append((a.height - b.height)[both])
             slopes.append((a.slope - b.slope)[both])
-            weights.append(np.full(both.sum(), min(INDEPENDENT / max(both.sum(), 1), 1.0)))
+            count = int(both.sum())
+            weights.append(np.full(count, min(INDEPENDENT / max(count, 1), 1.0)))
     off, slope, weight = (np.concatenate(parts) for parts in (offs, slopes, weights))
     information = float(weight @ slope**2)
     if not information > 0.0:

@@ -87,7 +87,7 @@ def _is_sound(one: object, camera: int) -> bool:
 def _says_enough(says: Says) -> bool:
     """Whether so many matches can say so much."""
     noise = np.isnan(says.level_px) or 0.0 < says.level_px < MOST
-    return bool(noise) and 0.0 <= says.mass < MOST and says.upper[DIAGONAL[:3]].sum() <= MOST_EACH * says.mass
+    return bool(noise and 0.0 <= says.mass < MOST and says.upper[DIAGONAL[:3]].sum() <= MOST_EACH * says.mass)
 
 
 def _is_count(value: object, unknown: bool) -> bool:

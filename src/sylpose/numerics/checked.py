@@ -116,7 +116,7 @@ def whole(value: Any, name: str, *, least: int = 0, most: int = 2**62) -> int:
     Raises:
         ValueError: naming the argument.
     """
-    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) <= most:
+    if isinstance(value, bool) or not isinstance(value, Integral) or not least <= int(value) <= most:
         raise ValueError(f"{name}: {shown(value)} is not a whole number from {least} to {most}")
     return int(value)
 

@@ -12,6 +12,7 @@ from sylpose.numerics.checked import finite, real
 from sylpose.numerics.compiled import kernel, symmetric_eigen
 
 __all__ = [
+    "carried",
     "checked_rotation",
     "checked_rotations",
     "covariance_of",
@@ -34,6 +35,18 @@ def kron(a: FloatArray, b: FloatArray) -> FloatArray:
 def transpose(a: FloatArray) -> FloatArray:
     """Of the last two axes."""
     return a.swapaxes(-1, -2)
+
+
+def carried(covariance: FloatArray, by: FloatArray) -> FloatArray:
+    """The covariance (n, n) of what is `by` (n, n) times as much; an infinite variance makes each infinite that has a part
+    in it."""
+    unknown = ~np.isfinite(np.diag(covariance))
+    known = np.where(unknown | unknown[:, None], 0.0, covariance)
+    out = by @ known @ by.T
+    lost = (np.abs(by[:, unknown]) > 1e-12).any(axis=1)
+    out[lost] = out[:, lost] = 0.0
+    out[lost, lost] = np.inf
+    return np.asarray(out)
 
 
 def checked_rotations(rotations: ArrayLike, n: int, name: str = "rotations") -> FloatArray:

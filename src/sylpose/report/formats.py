@@ -1,6 +1,7 @@
-"""Formats of pictures, known without loading what draws them."""
+"""Formats of pictures and the name of the page, known without loading what draws them."""
 
-__all__ = ["FORMATS"]
+__all__ = ["FORMATS", "PAGE"]
 
 # By the ends of their files' names.
 FORMATS = ("png", "svg", "pdf")
+PAGE = "report.html"

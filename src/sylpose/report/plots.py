@@ -23,7 +23,22 @@ from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.report.disagreement import disagreements, remarks
 from sylpose.results import FrameStatus, Observable, Trajectory
 
-__all__ = ["camera_colors", "finish", "new_figure", "plot_trajectory", "save_figure", "summary", "trajectory_figure"]
+__all__ = [
+    "X_COLOR",
+    "Y_COLOR",
+    "Z_COLOR",
+    "angle_labels",
+    "angles_of_frames",
+    "camera_colors",
+    "finish",
+    "new_figure",
+    "plot_trajectory",
+    "readable",
+    "save_figure",
+    "summary",
+    "trajectory_figure",
+    "why_nothing",
+]
 
 
 # Okabe & Ito's colours, which the colour-blind can tell apart. The same axis has the same colour in both upper panels:
@@ -66,7 +81,7 @@ def summary(trajectory: Trajectory) -> str:
         turn = trajectory.turn[trajectory.solved][-1]
         parts.append(f"turned {np.degrees(turn):.1f}° from the first to the last")
         moved = float(np.linalg.norm(solved[-1].position - solved[0].position))
-        scale, unit = _readable(moved, trajectory.unit)
+        scale, unit = readable(moved, trajectory.unit)
         if solved[-1].observable is Observable.NO_SCALE:
             parts.append("how far it moved is not observable")
         else:
@@ -111,7 +126,7 @@ def trajectory_figure(trajectory: Trajectory, *, note: str = "", angles: Angles 
     title = summary(trajectory)
     solved = trajectory.solved
     if not any(f.world_from_object is not None for f in trajectory):
-        return _why_nothing(trajectory, title, note)
+        return _picture_of_nothing(trajectory, title, note)
     pale = np.array([f.status in (FrameStatus.COASTING, FrameStatus.UNCERTAIN) for f in trajectory])
     times = trajectory.times
     marker = "." if len(trajectory) <= MARKED_FRAMES else ""
@@ -123,13 +138,13 @@ def trajectory_figure(trajectory: Trajectory, *, note: str = "", angles: Angles 
     figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
 
     turns, position, inliers, residuals = panels
-    values, sigmas = np.degrees(_angles(trajectory, angles)), np.degrees(_angle_sigmas(trajectory, angles))
+    values, sigmas = np.degrees(angles_of_frames(trajectory, angles)), np.degrees(_angle_sigmas(trajectory, angles))
     # Broken where they go round: of (180, 0, 180) and (0, 180, 0) the CSV has one, too.
     jumps = 1 + np.flatnonzero((np.abs(np.diff(values, axis=0)) > JUMP_DEG).any(axis=1))
     at = np.insert(times, jumps, times[jumps])
     values, sigmas = np.insert(values, jumps, np.nan, axis=0), np.insert(sigmas, jumps, np.nan, axis=0)
     pale_too = np.insert(pale, jumps, False)
-    for k, (label, color) in enumerate(_labels(angles)):
+    for k, (label, color) in enumerate(angle_labels(angles)):
         _line(turns, at, values[:, k], sigmas[:, k], pale_too, color, label, marker)
     turn = np.where(solved, np.degrees(trajectory.turn), np.nan)
     turns.plot(times, turn, color=INK, linewidth=1.2, linestyle="--", label="total turn (0 to 180°)")
@@ -137,7 +152,7 @@ def trajectory_figure(trajectory: Trajectory, *, note: str = "", angles: Angles 
 
     start = trajectory.positions[solved][0] if solved.any() else np.full(3, np.nan)
     moved = trajectory.positions - start
-    scale, unit = _readable(float(np.abs(moved[solved]).max(initial=0)), trajectory.unit)
+    scale, unit = readable(float(np.abs(moved[solved]).max(initial=0)), trajectory.unit)
     sigmas = np.array([f.sigma[3:] for f in trajectory])
     for k, label, color in ((0, "x", X_COLOR), (1, "y", Y_COLOR), (2, "z", Z_COLOR)):
         _line(position, times, scale * moved[:, k], scale * sigmas[:, k], pale, color, label, marker)
@@ -188,8 +203,8 @@ def _put_note(figure: Figure, note: str) -> None:
         figure.text(0.01, -0.005, note, fontsize=8.5, color="#666666", verticalalignment="top", parse_math=False)
 
 
-def _why_nothing(trajectory: Trajectory, title: str, note: str) -> Figure:
-    """What happened to the frames of a trajectory without any pose."""
+def why_nothing(trajectory: Trajectory) -> list[str]:
+    """What happened to the frames of a trajectory without any pose, in sentences."""
     said = [
         f"{count} frame{'s' if count > 1 else ''}: {status.value}. {status.text}"
         for status, count in Counter(f.status for f in trajectory).most_common()
@@ -198,6 +213,12 @@ def _why_nothing(trajectory: Trajectory, title: str, note: str) -> Figure:
     said += [f"{count} frame{'s' if count > 1 else ''}: {reason}" for reason, count in reasons[:MOST_REASONS]]
     if len(reasons) > MOST_REASONS:
         said.append(f"and {len(reasons) - MOST_REASONS} more reasons: see the column reason of trajectory.csv")
+    return said
+
+
+def _picture_of_nothing(trajectory: Trajectory, title: str, note: str) -> Figure:
+    """The same as a picture."""
+    said = why_nothing(trajectory)
     lines = [line for sentence in said for line in textwrap.wrap(sentence, 130, subsequent_indent="    ")]
     text, height = "\n".join(lines), 1.2 + 0.25 * len(lines)
     figure = new_figure(11.5, height)
@@ -248,7 +269,7 @@ def save_figure(figure: Figure, path: Path | str) -> None:
             figure.savefig(part, bbox_inches="tight", pad_inches=0.15, metadata=dated.get(end))
 
 
-def _readable(length: float, unit: str) -> tuple[float, str]:
+def readable(length: float, unit: str) -> tuple[float, str]:
     """Factor and unit to print lengths in: millimetres for short ones when the calibration's unit is the metre."""
     if unit == "m" and length < 0.1:
         return 1000.0, "mm"
@@ -326,7 +347,7 @@ def _strips(times: FloatArray, frames: BoolArray) -> Iterator[tuple[float, float
         yield float(edges[first]), float(edges[end])
 
 
-def _labels(angles: Angles) -> list[tuple[str, str]]:
+def angle_labels(angles: Angles) -> list[tuple[str, str]]:
     """What the three are called, and their colours: those of the axes, where they turn about axes each of its own."""
     colors = (X_COLOR, Y_COLOR, Z_COLOR)
     about = [int(k) for k in np.argmax(np.abs(angles.axes), axis=1)]
@@ -339,7 +360,7 @@ def _labels(angles: Angles) -> list[tuple[str, str]]:
     return [(label, colors[k]) for label, k in zip(labels, own, strict=True)]
 
 
-def _angles(trajectory: Trajectory, angles: Angles) -> FloatArray:
+def angles_of_frames(trajectory: Trajectory, angles: Angles) -> FloatArray:
     """(N, 3) radians, as in the CSV; NaN rows where there is no pose."""
     places = [f.world_from_object for f in trajectory]
     return np.array([np.full(3, np.nan) if place is None else angles.of(place.rotation) for place in places])

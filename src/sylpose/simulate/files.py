@@ -12,7 +12,7 @@ import av
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.files import replacing
+from sylpose.files import boxes_toml, replacing
 from sylpose.numerics.arrays import Image
 from sylpose.rig import Rig
 
@@ -70,13 +70,10 @@ def write_boxes(folder: Path, boxes: Mapping[str, Mapping[str, Box]]) -> None:
 
     Without any object there is none, nor is an earlier one left, which would be taken for this session's.
     """
-    lines = ["# Boxes of the object in the first frame, pixels: x, y, width, height."]
-    for name, its in boxes.items():
-        lines += [f'["{name}"]'] if len(boxes) > 1 else []
-        lines += [f'"{camera}" = {list(box)}' for camera, box in its.items()]
     if boxes:
+        named = boxes if len(boxes) > 1 else {"": next(iter(boxes.values()))}
         with replacing(folder / "boxes.toml") as part:
-            part.write_text("\n".join(lines) + "\n")
+            part.write_text(boxes_toml(named), encoding="utf-8")
     else:
         (folder / "boxes.toml").unlink(missing_ok=True)
 

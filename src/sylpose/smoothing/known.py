@@ -7,23 +7,23 @@ import numpy as np
 from sylpose.results import FramePose, FrameStatus
 from sylpose.rig import Rig
 from sylpose.smoothing.trajectory import Track
-from sylpose.tracking.known_object import KnownObject
+from sylpose.tracking.known_here import KnownHere
 from sylpose.tracking.tracked_frame import Sightings
 
 __all__ = ["tracks_of"]
 
 
-def tracks_of(known: KnownObject, rig: Rig, time: float) -> list[Track]:
+def tracks_of(here: KnownHere, rig: Rig, time: float) -> list[Track]:
     """The keyframes as tracks, to go before those of a take that began with the object (`Tracker`).
 
     Args:
         time: of the take's first frame.
     """
-    tracks, n = [], len(known._keyframes)
-    for k, frame in enumerate(known._keyframes):
+    tracks, n = [], len(here.keyframes)
+    for k, frame in enumerate(here.keyframes):
         sightings = []
         for name in rig.names:
-            memory = known._cameras.get(name)
+            memory = here.memories.get(name)
             if memory is None:
                 sightings.append(
                     Sightings(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty(0, bool))
@@ -35,5 +35,5 @@ def tracks_of(known: KnownObject, rig: Rig, time: float) -> list[Track]:
         status = FrameStatus.TRACKED if k else FrameStatus.FIRST
         residuals = np.full(len(rig), np.nan)
         pose = FramePose(k - n, time + k - n, status, frame.world_from_object, frame.covariance, counts, residuals)
-        tracks.append(Track(pose, tuple(sightings), np.zeros(len(rig)), known.radius))
+        tracks.append(Track(pose, tuple(sightings), np.zeros(len(rig)), here.known.radius))
     return tracks

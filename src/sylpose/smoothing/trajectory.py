@@ -43,7 +43,7 @@ class Track:
     """What smoothing keeps of a tracked frame: no images.
 
     Attributes:
-        pose: as tracked.
+        pose: as tracked; of a known object, of the frame that it was learnt in (`KnownHere.telling`).
         sightings: per camera.
         late: (C,) seconds.
         radius: of the object.
@@ -59,7 +59,8 @@ class Track:
     @classmethod
     def of(cls, tracked: TrackedFrame) -> Track:
         """Of a frame that the tracker has yielded."""
-        return cls(tracked.pose, tracked.sightings, tracked.late, tracked.radius, tracked.nudges)
+        pose = tracked.pose if tracked.learnt is None else tracked.learnt
+        return cls(pose, tracked.sightings, tracked.late, tracked.radius, tracked.nudges)
 
 
 @dataclass(frozen=True, eq=False)

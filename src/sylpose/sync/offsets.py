@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.capture.names import belongs_to
-from sylpose.capture.timeline import Timeline
 from sylpose.reading import parsed_toml, text_of, told
 from sylpose.sync.pulses import split_offsets
 
@@ -105,4 +104,4 @@ def retimed(session: Session, offsets: ArrayLike) -> Session:
     lost = [f"{name} {-k}" for name, k in zip(session.rig.names, shift, strict=True) if k]
     said = f"The cameras start at different times; frames before the last one starts are not used: {', '.join(lost)}."
     warnings = (*session.warnings, said) if lost else session.warnings
-    return replace(session, timeline=Timeline(frames, times, stamps, session.rate), warnings=warnings)
+    return replace(session, timeline=replace(old, frames=frames, times=times, stamps=stamps), warnings=warnings)

@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.landmarks.places import Landmarks
-from sylpose.landmarks.table import LandmarkTable
 from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.rig import Rig
+from sylpose.numerics.checked import finite, kind_of, number
+from sylpose.reading import one_line
+from sylpose.rig import MAX_LENGTH, Rig, single_pose
 from sylpose.told import Telling, Told, length, named
 from sylpose.tracking.camera import CameraPart
-from sylpose.tracking.find import WAIT_FOR_MORE
-from sylpose.tracking.frame import CameraFrame, SolvedFrame
+from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.joint import Joint
-from sylpose.tracking.keyframes import viewpoints
-from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.velocity import Velocity
+from sylpose.units import FIRST_DISTANCES
 
-__all__ = ["FEWEST", "CameraMemory", "KnownObject", "begun_with", "calibrated_anew", "check_rig", "learnt_of"]
+__all__ = ["FEWEST", "CameraMemory", "KnownObject", "ObjectFrame", "learnt_of"]
 
-# Landmarks are where these cameras saw them, within so many pixels in the middle, unless they are other cameras or stand
-# elsewhere: calibrated anew they are a pixel or two off, moved by hand tens (choice).
-SAME_RIG_PX = 5.0
 # From fewer keyframes next to nothing is known of an object (choice).
 FEWEST = 2
+# Characters that say how a frame was found (choice).
+SAID = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,22 +47,52 @@ class CameraMemory:
         return self.landmarks.subset(np.searchsorted(self.landmarks.id, self.numbers[keyframe]))
 
 
+@dataclass(frozen=True, eq=False)
+class ObjectFrame:
+    """The frame of an object that poses are told in.
+
+    Attributes:
+        from_learnt: from the frame that it was learnt in.
+        sd: (6,) how far it may be from the one that was meant: radians about its own axes, length units along them; zero
+            where it is one by definition.
+        said: how it was found, a few words; "" of the frame that it was learnt in.
+    """
+
+    from_learnt: RigidTransform = field(default_factory=RigidTransform.identity)
+    sd: FloatArray = field(default_factory=lambda: np.zeros(6))
+    said: str = ""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class KnownObject(Told):
     """An object as a take has learnt it (object.npz, `load_object`), for another one to begin with.
 
+    Landmarks and keyframes stay in the frame that it was learnt in, whose origin is in the object's middle: there the
+    tracker expects it, and what it decides is the same to the bit whatever frame poses are told in.
+
     Attributes:
-        unit: of lengths, or "".
+        rig: that saw it.
         radius: of the object.
-        points: (n, 3) a cloud on it, object's frame.
+        mark: a word that this object, learnt in this take, has in all files that come of it.
+        frame: that poses are told in.
+        scale_sd: relative standard deviation of all its lengths, where they were not measured by cameras.
     """
 
-    unit: str
+    rig: Rig
     radius: float
-    points: FloatArray
-    # Frames that show it from all sides, in order of time; by the name of a camera, what that knows.
+    mark: str
+    # Learnt frame: (n, 3) a cloud on it; frames that show it from all sides, in order of time; by the name of a camera, what
+    # that knows.
+    _points: FloatArray
     _keyframes: tuple[SolvedFrame, ...]
     _cameras: Mapping[str, CameraMemory]
+    frame: ObjectFrame = field(default_factory=ObjectFrame)
+    scale_sd: float = 0.0
+
+    @property
+    def unit(self) -> str:
+        """Of its lengths, "" where that is not said; `FIRST_DISTANCES` where one camera alone has seen it."""
+        return self.rig.unit
 
     @property
     def camera_names(self) -> tuple[str, ...]:
@@ -71,9 +100,80 @@ class KnownObject(Told):
         return tuple(self._cameras)
 
     @property
+    def points(self) -> FloatArray:
+        """(n, 3) a cloud on it, object's frame."""
+        return np.asarray(self.frame.from_learnt.apply(self._points)).reshape(-1, 3)
+
+    @property
     def places(self) -> FloatArray:
         """(n, 3) of its landmarks, of all cameras, object's frame."""
-        return np.concatenate([memory.landmarks.mean for memory in self._cameras.values()])
+        learnt = np.concatenate([memory.landmarks.mean for memory in self._cameras.values()])
+        return np.asarray(self.frame.from_learnt.apply(learnt)).reshape(-1, 3)
+
+    @property
+    def depth_sd(self) -> FloatArray:
+        """(n,) standard deviations of these places where each is known least."""
+        return np.concatenate([memory.landmarks.depth_sd for memory in self._cameras.values()])
+
+    def in_frame(self, new_from_object: RigidTransform, sd: FloatArray | None = None, said: str = "") -> KnownObject:
+        """The same object, whose poses are told in another frame.
+
+        Args:
+            sd: (6,) of the new frame, as in `ObjectFrame`; None: zero.
+            said: how it was found.
+
+        Raises:
+            TypeError, ValueError: naming the argument: no single transform of finite values, no standard deviations.
+        """
+        sd = finite(np.zeros(6) if sd is None else sd, (6,), "sd")
+        if (sd < 0.0).any():
+            raise ValueError("sd: standard deviations are not negative")
+        from_learnt = single_pose(new_from_object, "new_from_object") * self.frame.from_learnt
+        frame = ObjectFrame(from_learnt, sd, one_line(kind_of(said, str, "said"), SAID))
+        return replace(self, frame=frame)
+
+    def sized(self, factor: float, unit: str, sd: float = 0.0) -> KnownObject:
+        """The same object so many times as large, of one that a single camera has learnt: before that camera nothing changes
+        by it but how far away everything is.
+
+        Args:
+            unit: of its lengths then, or "".
+            sd: relative standard deviation of the factor.
+
+        Raises:
+            ValueError: lengths that cameras have measured; no factor, no standard deviation.
+        """
+        if self.unit != FIRST_DISTANCES:
+            raise ValueError("cameras have measured its lengths: scaled they would contradict every calibration")
+        factor, sd = number(factor, "factor", above=0.0, most=MAX_LENGTH), number(sd, "sd", least=0.0, most=1.0)
+        eye, size = self.rig.cameras[0].center, np.repeat([1.0, factor], 3)
+
+        def larger(frame: SolvedFrame) -> SolvedFrame:
+            pose, covariance = frame.world_from_object, frame.covariance * np.outer(size, size)
+            there = RigidTransform.from_components(eye + factor * (pose.translation - eye), pose.rotation)
+            return replace(frame, world_from_object=there, covariance=covariance)
+
+        def enlarged(memory: CameraMemory) -> CameraMemory:
+            its = memory.landmarks
+            return replace(
+                memory, landmarks=replace(its, mean=factor * its.mean, information=its.information / factor**2)
+            )
+
+        frame = self.frame.from_learnt
+        return replace(
+            self,
+            rig=Rig(self.rig.cameras, kind_of(unit, str, "unit")),
+            radius=factor * self.radius,
+            _points=factor * self._points,
+            _keyframes=tuple(map(larger, self._keyframes)),
+            _cameras={name: enlarged(memory) for name, memory in self._cameras.items()},
+            frame=replace(
+                self.frame,
+                from_learnt=RigidTransform.from_components(factor * frame.translation, frame.rotation),
+                sd=self.frame.sd * size,
+            ),
+            scale_sd=sd,
+        )
 
     def _told(self) -> Telling:
         brief = (
@@ -83,8 +183,14 @@ class KnownObject(Told):
         return Telling(brief, named(cameras))
 
 
-def learnt_of(rig: Rig, joint: Joint, parts: Sequence[CameraPart]) -> KnownObject | None:
-    """What is known of the object by now; None before it was seen to move and turn: what is known may be the background."""
+def learnt_of(
+    rig: Rig, joint: Joint, parts: Sequence[CameraPart], begun: KnownObject | None = None
+) -> KnownObject | None:
+    """What is known of the object by now; None before it was seen to move and turn: what is known may be the background.
+
+    Args:
+        begun: what the take has begun with.
+    """
     if joint.last is None or not joint.proven or len(joint.keyframes) < FEWEST or joint.object.guessed:
         return None
     cameras = {}
@@ -98,97 +204,25 @@ def learnt_of(rig: Rig, joint: Joint, parts: Sequence[CameraPart]) -> KnownObjec
             numbers.append(frame.numbers[good])
         landmarks = part.table.of(np.unique(np.concatenate(numbers)))
         cameras[part.camera.name] = CameraMemory(landmarks, tuple(features), tuple(numbers))
-    return KnownObject(rig.unit, joint.object.radius, joint.object.points, joint.keyframes, cameras)
-
-
-def check_rig(known: KnownObject, rig: Rig) -> None:
-    """Whether a rig has the cameras that saw an object, where they stood.
-
-    Raises:
-        ValueError: another unit, none of its cameras, or one that stands elsewhere.
-    """
-    if known.unit != rig.unit:
-        said = [f"in {unit}" if unit else "in no unit that is said" for unit in (known.unit, rig.unit)]
-        raise ValueError(f"its lengths are {said[0]}, those of the calibration {said[1]}")
-    if not {*known._cameras} & {*rig.names}:
-        raise ValueError(
-            f"it was seen by {', '.join(known._cameras)}, and the calibration has none of these ({', '.join(rig.names)})"
+    model = joint.object
+    if begun is not None:
+        seen_by = Rig(rig.cameras, begun.unit)
+        return replace(
+            begun,
+            rig=seen_by,
+            radius=model.radius,
+            _points=model.points,
+            _keyframes=joint.keyframes,
+            _cameras=cameras,
         )
-    for name, off in _off(known, rig).items():
-        far = np.nan_to_num(np.linalg.norm(off, axis=1), nan=np.inf)
-        if len(far) and np.median(far) > SAME_RIG_PX:
-            raise ValueError(
-                f"{name} is another camera than the one that saw it, or stands elsewhere: what is known of it would be "
-                f"{np.median(far):.0f} px off in its images"
-            )
+    seen_by = rig if len(rig) > 1 else Rig(rig.cameras, FIRST_DISTANCES)
+    return KnownObject(seen_by, model.radius, _mark(joint.keyframes, cameras), model.points, joint.keyframes, cameras)
 
 
-def _off(known: KnownObject, rig: Rig) -> dict[str, FloatArray]:
-    """By camera that both have, (n, 2) pixels from where its landmarks were seen to where the rig's cameras see them."""
-    off = {}
-    for camera in rig:
-        memory = known._cameras.get(camera.name)
-        if memory is None:
-            continue
-        pieces = [np.empty((0, 2))]
-        for k, (frame, features) in enumerate(zip(known._keyframes, memory.features, strict=True)):
-            places = memory.seen_in(k).mean
-            pieces.append(camera.project(frame.world_from_object.apply(places).reshape(-1, 3)) - features.pixels)
-        off[camera.name] = np.concatenate(pieces)
-    return off
-
-
-def calibrated_anew(known: KnownObject, rig: Rig) -> FloatArray:
-    """(6, 6) covariance of (w, d): how far poses may be off where cameras are calibrated otherwise than when the object was
-    learnt. They are drawn by what its landmarks are off as a whole in each camera's images."""
-    far = []
-    for name, off in _off(known, rig).items():
-        if len(off):
-            camera = rig[name]
-            away = np.median(
-                [camera.camera_from_world.apply(k.world_from_object.translation)[2] for k in known._keyframes]
-            )
-            far.append(float(np.linalg.norm(np.nanmedian(off, axis=0))) * away / camera.focal)
-    # Of cameras that are off independently of each other, the mean.
-    shift = float(np.sqrt(np.sum(np.square(far)))) / len(far) if far else 0.0
-    return np.diag(np.repeat([(shift / known.radius) ** 2, shift**2], 3))
-
-
-def begun_with(known: KnownObject, rig: Rig, parts: Sequence[CameraPart], time: float) -> Joint:
-    """The state of a tracker that has lost an object that it knows from its frames 0 to K - 1; the cameras' parts get what
-    they know.
-
-    Args:
-        time: of the first frame to come.
-    """
-    sees = np.zeros((len(known._keyframes), len(rig)), bool)
-    for c, part in enumerate(parts):
-        memory = known._cameras.get(part.camera.name)
-        if memory is None:
-            part.frames = {k: part.blind() for k in range(len(sees))}
-            continue
-        part.table = LandmarkTable.holding(memory.landmarks)
-        for k, (features, numbers) in enumerate(zip(memory.features, memory.numbers, strict=True)):
-            part.frames[k] = CameraFrame(features, np.zeros(len(features), bool), part.table, numbers.copy())
-            sees[k, c] = len(features) > 0
-    keyframes = tuple(
-        replace(
-            frame,
-            number=k,
-            time=time + k - len(sees),
-            late=np.zeros(len(rig)),
-            viewpoints=viewpoints(rig, frame.world_from_object),
-            sees=sees[k],
-        )
-        for k, frame in enumerate(known._keyframes)
-    )
-    return Joint(
-        ObjectModel(None, known.radius, known.points),
-        last=keyframes[-1],
-        keyframes=keyframes,
-        velocity=Velocity(frames=1, interval=1.0),
-        missed=1,
-        seen_again=WAIT_FOR_MORE,  # poses are wanted from the first frame on, however little of it is seen there
-        lost=True,
-        proven=True,
-    )
+def _mark(keyframes: Sequence[SolvedFrame], cameras: Mapping[str, CameraMemory]) -> str:
+    total = hashlib.blake2b(digest_size=8)
+    for keyframe in keyframes:
+        total.update(np.ascontiguousarray(keyframe.world_from_object.as_matrix()).tobytes())
+    for memory in cameras.values():
+        total.update(np.ascontiguousarray(memory.landmarks.mean).tobytes())
+    return total.hexdigest()

@@ -53,6 +53,8 @@ class TrackedFrame:
         note: a sentence, where there is something to be said of this frame.
         nudges: of cameras up to now, in order of time; from each on that camera's images are turned back.
         sought: per camera what it looked at; empty in the first frame.
+        learnt: of an object that is known from another take, the pose of the frame that it was learnt in, which
+            `sightings` are told in; None: the same.
     """
 
     pose: FramePose
@@ -65,6 +67,7 @@ class TrackedFrame:
     note: str = ""
     nudges: tuple[Nudge, ...] = ()
     sought: tuple[Sought, ...] = ()
+    learnt: FramePose | None = None
 
 
 def shown(

@@ -21,7 +21,8 @@ from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.handover import Handover, handed_over, taken_over
 from sylpose.tracking.joint import Joint
-from sylpose.tracking.known_object import KnownObject, begun_with, calibrated_anew, check_rig, learnt_of
+from sylpose.tracking.known_here import KnownHere, begun_with, known_here
+from sylpose.tracking.known_object import KnownObject, learnt_of
 from sylpose.tracking.nudges import with_nudges
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.phases import Waiting, finish, next_frame
@@ -137,10 +138,8 @@ class Tracking:
                 raise ValueError("boxes: of an object that is known, none are wanted")
             if method != METHODS[0]:
                 raise ValueError(f"method: an object that is known is tracked by {METHODS[0]!r}, not by {method!r}")
-            check_rig(known, rig)
-        self._known = known
-        # By what the cameras differ from those that saw the object.
-        self._anew = None if known is None else calibrated_anew(known, rig)
+        # The object before these cameras, where it is known from another take.
+        self.known: KnownHere | None = None if known is None else known_here(known, rig)
         self._waiting: Sequence[Waiting] = []
         self.number = 0  # of the next frame
 
@@ -152,15 +151,14 @@ class Tracking:
             boxes tell where it is, then those that waited for it and this one.
         """
         check_frames(frames, self._rig)
-        if (known := self._known) is not None:
-            self._joint = begun_with(known, self._rig, self._here(), frames.time)
-            self._known, self.number = None, len(known._keyframes)
+        if (here := self.known) is not None and not self.number:
+            self._joint = begun_with(here, self._rig, self._here(), frames.time)
+            self.number = len(here.keyframes)
         index, self.number = self.number, self.number + 1
         self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, index, frames)
-        if self._anew is None:
+        if here is None:
             return decided
-        poses = [replace(t.pose, covariance=t.pose.covariance + self._anew) for t in decided]
-        return [replace(t, pose=pose) for t, pose in zip(decided, poses, strict=True)]
+        return [replace(tracked, pose=here.telling.of(tracked.pose), learnt=tracked.pose) for tracked in decided]
 
     @property
     def memory(self) -> Memory:
@@ -179,7 +177,6 @@ class Tracking:
 
     def go_back(self, memory: Memory) -> None:
         """To what was known then; a memory serves once."""
-        self._known = None if memory.number else self._known
         self._joint, self._waiting, self.number, parts = memory
         for part, its in zip(self._here(), parts, strict=True):
             vars(part).update(vars(its))
@@ -190,7 +187,7 @@ class Tracking:
 
     def learnt(self) -> KnownObject | None:
         """What is known of the object by now, for another take; None where that is next to nothing."""
-        return learnt_of(self._rig, self._joint, self._here())
+        return learnt_of(self._rig, self._joint, self._here(), None if self.known is None else self.known.known)
 
     def handed_over(self) -> Handover:
         """What a camera has to know that is to take part from the next frame on."""

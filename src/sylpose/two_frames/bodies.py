@@ -95,7 +95,7 @@ def larger_body(data: Sequence[TermData], solved: Solved, solve: Solve, least_px
         larger, having = larger._replace(fit=between[0]), between[1]
         share = float(having[1].sum() / having[0].sum())
         # What is at fault with a camera it has of all matches.
-        body = (having.min(axis=0) > OF_BOTH * having.sum(axis=0)).sum() >= min(2, len(data))
+        body = int((having.min(axis=0) > OF_BOTH * having.sum(axis=0)).sum()) >= min(2, len(data))
     else:
         body = _count(left) > A_BODY * _count(inliers)
     if not body or share < A_BODY:

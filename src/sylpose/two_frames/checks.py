@@ -91,6 +91,9 @@ def check(
     known = max(freedom - 2, 1) / freedom
     information = known * without(found.information, found.noise, 2.0)
     without_depth = known * without(found.without_depth, found.noise, 2.0)
+    bent = unless_straight(found, radius) > 0.0
+    unsure = bent or parted
+    mixed = is_mixed(*alike(stack, found), unsure)
     return Checks(
         inliers,
         finite,
@@ -100,10 +103,10 @@ def check(
         may_stand(stack, usable),
         on_lines(stack, found.weights, found.sigma_px, np.zeros((3, 3))),
         parted,
-        unless_straight(found, radius) > 0.0,
+        bent,
         stands_still(stack, found, information),
         has_likely(costs, counts),
-        is_mixed(*alike(stack, found)),
+        mixed,
         at_ease(stack.x, stack.y, stack.offsets, found.weights, found.across, stack.focal),
         known,
         information,

@@ -31,6 +31,7 @@ __all__ = [
     "Reweighted",
     "nothing_yet",
     "reweight",
+    "reweight_held",
     "spread_evenly",
 ]
 
@@ -57,6 +58,8 @@ LONGEST_STEP = 0.3
 NEARER = 0.5
 # What is added to a step's diagonal, of its trace (choice).
 RIDGE = 1e-9
+# How firmly what is held is, of what holds a motion in any direction (choice).
+FIRM = 1e6
 # Settled when a step promises to lower the cost by less than this: a thirtieth of a standard deviation (choice).
 SETTLED = 5e-4
 # A term's σ counts as that of so many matches more that have the rig's (choice).
@@ -131,12 +134,21 @@ def nothing_yet(stack: Stack) -> Reweighted:
 
 @kernel
 def reweight(stack: Stack, usable: Usable, fit: Reweighted, least_px: float) -> tuple[int, float, float]:
-    """From one motion to the one that its inliers agree on, all in place.
+    """From one motion to the one that its inliers agree on, all in place: `reweight_held` with nothing held."""
+    return reweight_held(stack, usable, fit, least_px, np.zeros(6))
+
+
+@kernel
+def reweight_held(
+    stack: Stack, usable: Usable, fit: Reweighted, least_px: float, held: FloatArray
+) -> tuple[int, float, float]:
+    """From one motion to the one that its inliers agree on, as far as it may move, all in place.
 
     Args:
         usable: (N,) matches that may be inliers, or the probability of each that it is one of them.
         fit: its candidate and noise are the start; all of it becomes the result.
         least_px: noise is not believed to be less, nor than the stack's; as a rule `SIGMA_FLOOR_PX`.
+        held: (6,) held' (w, d) stays as it is; zero where nothing is held. The information is as if nothing were.
 
     Returns:
         number of rounds; what the last step promised to lower the cost by, infinite where no match agreed; the negative
@@ -202,6 +214,12 @@ def reweight(stack: Stack, usable: Usable, fit: Reweighted, least_px: float) -> 
         for i in range(3):
             total[i, i] += RIDGE * turns
             total[3 + i, 3 + i] += RIDGE * shifts
+        most = 0.0
+        for i in range(6):
+            most = max(most, total[i, i])
+        for i in range(6):
+            for j in range(6):
+                total[i, j] += FIRM * most * held[i] * held[j]
         step[:] = right
         if not cholesky_solve(total, step):
             return count, np.inf, np.inf

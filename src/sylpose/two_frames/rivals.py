@@ -20,7 +20,7 @@ from sylpose.numerics.robust import chi_squared_bound
 from sylpose.numerics.unseen import UNSEEN_SHARE
 from sylpose.two_frames.reweight import Reweighted
 from sylpose.two_frames.robust_fit import Settled
-from sylpose.two_frames.terms import Stack
+from sylpose.two_frames.terms import Candidate, Stack
 
 __all__ = ["LESS_LIKELY", "Rival", "are_close", "has_likely", "second_planes", "strongest_rival", "together"]
 
@@ -56,10 +56,10 @@ class Rival(NamedTuple):
     far: bool
 
 
-def second_planes(stack: Stack, found: Reweighted) -> list[tuple[FloatArray, FloatArray]]:
-    """Motions (R, d) of the second plane of each camera, which are close together; none where the object is not flat."""
+def second_planes(stack: Stack, found: Reweighted) -> list[Candidate]:
+    """Motions of the second plane of each camera, with that plane for all of them; none where the object is not flat."""
     R, d, surface = found.candidate
-    out: list[tuple[FloatArray, FloatArray]] = []
+    out: list[Candidate] = []
     for t in range(len(stack.focal)):
         if not found.weights[stack.offsets[t] : stack.offsets[t + 1]].any():
             continue
@@ -74,7 +74,8 @@ def second_planes(stack: Stack, found: Reweighted) -> list[tuple[FloatArray, Flo
         other = _other_plane(qy @ R @ qx.T + np.outer(tau, normal), normal, anchor)
         if other is not None and len(out) < PLANES:
             turn, by = qy.T @ other[0] @ qx, qy.T @ other[1]
-            out.append((turn, by - turn @ stack.a1[t] + stack.a2[t]))
+            plane = _seen_by_all(stack, t, other[2])
+            out.append(Candidate(turn, by - turn @ stack.a1[t] + stack.a2[t], plane))
     return out
 
 
@@ -89,8 +90,24 @@ def are_close(places: FloatArray) -> bool:
     return bool(np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2) >= CLOSE)
 
 
-def _other_plane(H: FloatArray, normal: FloatArray, anchor: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """(R, τ) of the other plane n of the homography H = R + τ n', as far away at the anchor; None where there is but one."""
+def _seen_by_all(stack: Stack, t: int, normal: FloatArray) -> FloatArray:
+    """(T, 6) surfaces of the plane n'X = 1 of term t, n = normal (3,) in the axes of its camera in the reference frame; as
+    it is believed beforehand for a camera that has it behind itself."""
+    out, world = stack.surface_mean.copy(), stack.qx[t].T @ normal
+    for k in range(len(out)):
+        away, anchor = 1.0 - float(world @ (stack.a1[k] - stack.a1[t])), np.append(stack.anchor[k], 1.0)
+        n = stack.qx[k] @ world / (away if abs(away) > 1e-9 else 1e-9)
+        if n @ anchor > 0.0:
+            out[k] = 0.0
+            out[k, :3] = np.array([n @ anchor, *(stack.spread[k] * n[:2])]) / stack.inverse_depth[k]
+    return out
+
+
+def _other_plane(
+    H: FloatArray, normal: FloatArray, anchor: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """(R, τ, n) of the other plane n of the homography H = R + τ n', as far away at the anchor; None where there is but
+    one."""
     _, values, rows = np.linalg.svd(H)
     H, values = H / values[1], values / values[1]
     spare, short = values[0] ** 2 - 1.0, 1.0 - values[2] ** 2
@@ -108,7 +125,7 @@ def _other_plane(H: FloatArray, normal: FloatArray, anchor: FloatArray) -> tuple
     if not abs(n @ anchor) > 1e-3:
         return None
     n = n * float(normal @ anchor) / float(n @ anchor)
-    return R, (H - R) @ n / float(n @ n)
+    return R, (H - R) @ n / float(n @ n), n
 
 
 def together(one: Settled, other: Settled) -> Settled:

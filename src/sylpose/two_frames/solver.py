@@ -23,8 +23,8 @@ from sylpose.two_frames.rivals import LESS_LIKELY, second_planes, strongest_riva
 from sylpose.two_frames.robust_fit import Settled, Uniform, fitted
 from sylpose.two_frames.standing import LARGER, LIKELIER, hidden, parted, some_move
 from sylpose.two_frames.terms import Joined, Stack, TermData, copy_into, guesses_of, stack_terms
-from sylpose.two_frames.valley import bend, less_certain
-from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
+from sylpose.two_frames.valley import bend, far_along, is_hardly_seen, less_certain, taken_in
+from sylpose.two_frames.verdict import all_seen, is_consistent, rod_axis, stands_still
 
 __all__ = ["FAR_PX", "fit_apart", "fit_terms"]
 
@@ -38,6 +38,10 @@ CONVERGED = 0.5
 DOUBT = 0.5
 # Where a motion may be larger by this factor, most of the matches standing still, it is not known (choice).
 HARDLY = 3.0
+# With fewer inliers, or where it is hardly seen, a motion has to lead to itself (choice).
+FEW_INLIERS = 50
+# Second planes of flat objects are told apart by more cameras than this (choice).
+FEW_CAMERAS = 3
 
 
 def fit_terms(
@@ -70,7 +74,7 @@ def fit_terms(
     checks = check(stack, usable, found, every, radius, minima.costs, minima.inliers)
     planes = second_planes(stack, found) if checks.close else []
     if planes:
-        again = fitted(stack, usable, guesses_of([*guesses, *planes]), rng)
+        again = fitted(stack, usable, guesses_of([*guesses, *((R, d) for R, d, _ in planes)]), rng)
         iterations += again[2]
         minima, best = together(minima, again[1]), again[1].costs.min() < minima.costs.min()
         found, promise = (again[0], again[3]) if best else (found, promise)
@@ -176,12 +180,23 @@ def _answer(
         status, rotation, shift, larger = Status.NO_MOTION, np.eye(3), np.zeros(3), LARGER[-1]
     elif larger >= HARDLY:
         return no_fit(data, Status.MOSTLY_STILL)
-    elif rod is None and checks.rivalled:
+    elif rod is None:
+        # What is not seen, or nobody's, needs no more doubts.
+        asked = not (checks.parted or checks.mixed) and all_seen(information, without_depth, rotation, shift, radius)
+        hardly, cost = asked and checks.bent and is_hardly_seen(stack, found, radius), float(minima.costs.min())
+        if asked:
+            others = _led_to(stack, having, found, cost, hardly or checks.inliers < FEW_INLIERS)
+            if others is None:
+                return no_fit(data, Status.NOT_CONVERGED)
+            minima = together(minima, others)
         rival = strongest_rival(found, minima, information, radius)
         if rival is not None and rival.far:
             other = (rival.rotation, rival.shift)
         elif rival is not None:
             column = DOUBT * rival.step[:, None]
+            information, without_depth = less_certain(information, column), less_certain(without_depth, column)
+        for step, dearer in far_along(stack, having, found, radius, cost) if hardly and other is None else []:
+            column = taken_in(information, step, dearer)
             information, without_depth = less_certain(information, column), less_certain(without_depth, column)
     if larger > 1.0:
         # Of a background all, or some, may be: the motion has any size up to this, and fewer matches tell of it.
@@ -225,6 +240,37 @@ def _least_turned(
     again.candidate.rotation[:] = (about.inv() * turn).as_matrix()
     _, promise, cost_again = reweight(stack, usable, again, SIGMA_FLOOR_PX)
     return (again, float(promise)) if cost_again < cost + LESS_LIKELY else None
+
+
+def _led_to(stack: Stack, having: FloatArray, found: Reweighted, cost: float, itself: bool) -> Settled | None:
+    """Where the second planes of few cameras lead to, and the motion itself, with the noise that was found and all else as
+    it is believed before anything is measured. None where the motion leads nowhere.
+
+    A motion that does not lead to itself rests on surfaces and weights that chance, or another motion, has left: where it
+    leads to is counted as as likely.
+
+    Args:
+        having: (N,) the probability of each match to have the motion.
+        cost: of what was found.
+        itself: whether that is asked.
+    """
+    starts = second_planes(stack, found) if len(stack.focal) <= FEW_CAMERAS else []
+    starts += [found.candidate._replace(surface=stack.surface_mean)] if itself else []
+    rotations, shifts = np.empty((len(starts), 3, 3)), np.empty((len(starts), 3))
+    costs, inliers = np.empty(len(starts)), np.empty(len(starts))
+    for k, start in enumerate(starts):
+        again = nothing_yet(stack)
+        copy_into(again.candidate, start)
+        again.sigma_px[:] = found.sigma_px
+        _, _, costs[k] = reweight(stack, having, again, SIGMA_FLOOR_PX)
+        rotations[k], shifts[k] = again.candidate.rotation, again.candidate.shift
+        inliers[k] = (again.weights > 0.0).sum()
+    if itself:
+        if not costs[-1] < np.inf:
+            return None
+        costs[-1] = cost
+    # What is likelier than what was found is no more than a rival of it, as others are.
+    return Settled(rotations, shifts, np.maximum(costs, cost), inliers)
 
 
 @kernel

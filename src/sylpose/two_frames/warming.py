@@ -13,7 +13,7 @@ from sylpose.two_frames.moments_cost import Sums, moments_into
 from sylpose.two_frames.reweight import SIGMA_FLOOR_PX, nothing_yet, reweight
 from sylpose.two_frames.search import search_all
 from sylpose.two_frames.solver import fit_terms
-from sylpose.two_frames.terms import Stack, TermData, guesses_of, stack_terms
+from sylpose.two_frames.terms import Stack, TermData, guesses_of, object_place, stack_terms
 from sylpose.two_frames.valley import settle_across
 from sylpose.two_frames.verdict import judged
 
@@ -44,6 +44,7 @@ def warm_up_reweighting() -> None:
 def warm_up_verdicts() -> None:
     """What decides what a fit is worth alone."""
     judged(no_fit(_data(), Status.OK), 0.1)
+    object_place(_data())
     stack = _stack()
     alike(stack, nothing_yet(stack))
     missing(stack, nothing_yet(stack), np.full(len(stack.x), 0.5))

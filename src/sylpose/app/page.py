@@ -1,0 +1,107 @@
+"""report.html of a run, made of the files in its folder alone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sylpose import __version__
+from sylpose.app import text
+from sylpose.app.object_files import OBJECT
+from sylpose.app.record import SETTINGS
+from sylpose.app.scene import calibration_used, read_cloud, rig_of
+from sylpose.app.view import read_result
+from sylpose.numerics.angles import PAN_TILT_ROLL, angles_of
+from sylpose.reading import parsed_toml, text_of, told
+from sylpose.report.formats import PAGE
+from sylpose.report.page import Head, write_page
+from sylpose.report.scene import Stills, scene_of
+from sylpose.results import Trajectory
+
+__all__ = ["make_page", "root_of", "settings_of", "table"]
+
+# Of the packages in settings.toml, those that are named at the top.
+_NAMED = {"numpy": "NumPy", "opencv": "OpenCV"}
+_VIDEO = re.compile(r"overlay(_(\d+))?\.mp4")
+
+
+def make_page(folder: Path, stills: Stills) -> Path:
+    """Writes report.html into the folder of a run or, of several objects, of one of them; returns its path.
+
+    Raises:
+        FileNotFoundError: there is no trajectory.
+        ValueError: it has no frames; files that are not what they should be.
+        OSError: naming the file that cannot be written.
+    """
+    trajectory, settings = read_result(folder), settings_of(folder)
+    rig = rig_of(trajectory, calibration_used(folder))
+    scene = scene_of(trajectory, rig, read_cloud(folder / OBJECT, rig.names), stills)
+    asked = settings.get("options", {}).get("angles")
+    with told(root_of(folder) / SETTINGS):
+        angles = PAN_TILT_ROLL if asked is None else angles_of(str(asked))
+    write_page(folder / PAGE, trajectory, scene, rig, angles, _head(folder, trajectory, settings))
+    return folder / PAGE
+
+
+def root_of(folder: Path) -> Path:
+    """The folder of the run: of several objects, each has a folder in it."""
+    return folder.parent if not (folder / SETTINGS).is_file() and (folder.parent / SETTINGS).is_file() else folder
+
+
+def settings_of(folder: Path) -> dict[str, Any]:
+    """What settings.toml says; nothing where there is none, as of runs of 0.1.0."""
+    file = root_of(folder) / SETTINGS
+    if not file.is_file():
+        return {}
+    content = text_of(file)
+    with told(file):
+        return parsed_toml(content)
+
+
+def _head(folder: Path, trajectory: Trajectory, settings: Mapping[str, Any]) -> Head:
+    root, facts = root_of(folder), list[tuple[str, str]]()
+    title = Path(str(settings.get("recording") or folder.resolve())).name or "sylpose"
+    options, versions, sums = (table(settings, name) for name in ("options", "versions", "checksums"))
+    if isinstance(begun := settings.get("begun"), datetime):
+        facts.append(("Tracked", f"{begun.astimezone(UTC):%Y-%m-%d %H:%M} UTC"))
+    if "method" in options:
+        refined = ", refined together" if options.get("smooth") else ""
+        facts += [("Method", f"{options['method']}{refined}"), ("Features", str(options.get("features", "")))]
+    facts += [("Cameras", str(len(trajectory.camera_names))), ("Unit of length", trajectory.unit or "not said")]
+    if "calibration" in settings:
+        digest = f", {str(sums['calibration'])[:12]}" if "calibration" in sums else ""
+        facts.append(("Calibration", f"{Path(str(settings['calibration'])).name}{digest}"))
+    made = [f"sylpose {versions['sylpose']}"] if "sylpose" in versions else []
+    made += [f"{said} {v}" for name, said in _NAMED.items() for k, v in versions.items() if str(k).startswith(name)]
+    if made:
+        facts.append(("Versions", ", ".join(made)))
+    return Head(
+        title=title if root == folder else f"{title}, {folder.name}",
+        version=__version__,
+        facts=facts,
+        settings=_told(settings),
+        noticed=[str(said) for said in noticed] if isinstance(noticed := settings.get("noticed"), list) else [],
+        cameras=text.per_camera(trajectory),
+        videos=_videos(root, "" if root == folder else "../"),
+    )
+
+
+def table(settings: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    table = settings.get(name)
+    return table if isinstance(table, dict) else {}
+
+
+def _told(settings: Mapping[str, Any]) -> dict[str, list[tuple[str, str]]]:
+    """All that settings.toml has, by its tables; first what stands before them."""
+    tables = {"": {key: value for key, value in settings.items() if not isinstance(value, dict) and key != "noticed"}}
+    tables |= {name: table for name, table in settings.items() if isinstance(table, dict)}
+    return {name: [(key, str(value)) for key, value in table.items()] for name, table in tables.items() if table}
+
+
+def _videos(root: Path, before: str) -> list[str]:
+    """Names of the overlay's parts, in order, as links."""
+    found = [match for file in root.glob("overlay*.mp4") if (match := _VIDEO.fullmatch(file.name))]
+    return [f"{before}{match[0]}" for match in sorted(found, key=lambda match: int(match[2] or -1))]

@@ -1,0 +1,226 @@
+"""A known object before the cameras of another take: where these would have seen what is known of it, and how its poses are
+told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.landmarks.table import LandmarkTable
+from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.rigid import turn_of
+from sylpose.results import FramePose, Observable
+from sylpose.rig import Rig
+from sylpose.tracking.camera import CameraPart
+from sylpose.tracking.find import WAIT_FOR_MORE
+from sylpose.tracking.frame import CameraFrame, SolvedFrame
+from sylpose.tracking.joint import Joint
+from sylpose.tracking.keyframes import viewpoints
+from sylpose.tracking.known_object import CameraMemory, KnownObject
+from sylpose.tracking.object_model import ObjectModel
+from sylpose.tracking.velocity import Velocity
+from sylpose.units import FIRST_DISTANCES
+
+__all__ = ["KnownHere", "Telling", "begun_with", "known_here"]
+
+# Landmarks are where these cameras saw them, within so many pixels in the middle, unless they are other cameras or stand
+# elsewhere: calibrated anew they are a pixel or two off, moved by hand tens (choice).
+SAME_RIG_PX = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Telling:
+    """How poses of a known object are told: of its frame, and less certain by what its cameras are calibrated otherwise than
+    when it was learnt, and by what is not known of its size.
+
+    Attributes:
+        from_learnt: from the frame that the object was learnt in, which the tracker has poses of, to its frame.
+        anew: (6, 6) covariance of (w, d): how far poses may be off where cameras are calibrated otherwise.
+        scale_sd: relative standard deviation of the object's lengths; radius: of the object.
+        eye: (3,) where a single camera stands; None of several.
+        sized: whether a single camera sees how far away it is, by its size.
+    """
+
+    from_learnt: RigidTransform
+    anew: FloatArray
+    scale_sd: float
+    radius: float
+    eye: FloatArray | None
+    sized: bool
+
+    def of(self, pose: FramePose) -> FramePose:
+        """A pose as the tracker, or the refinement of all poses, has it, as it is told."""
+        if pose.world_from_object is None:
+            return pose
+        observable = Observable.ALL if self.sized else pose.observable
+        wider = replace(pose, covariance=pose.covariance + self.anew, observable=observable)
+        told = wider.of_frame(self.from_learnt)
+        if self.scale_sd and told.world_from_object is not None:
+            origin = told.world_from_object.translation
+            off = origin - (pose.world_from_object.translation if self.eye is None else self.eye)
+            sized = np.outer(off, off)
+            if self.eye is None:  # what is too large, or too small, lies elsewhere for each camera
+                sized += self.radius**2 * np.eye(3)
+            about = np.eye(3) if self.eye is None else np.zeros((3, 3))
+            told = replace(told, covariance=told.covariance + self.scale_sd**2 * block_diag(about, sized))
+        return told.judged()
+
+
+@dataclass(frozen=True, eq=False)
+class KnownHere:
+    """A known object, as the cameras of another take would have seen it.
+
+    Attributes:
+        known: the object.
+        keyframes: in the world of these cameras; memories: by the name of a camera, what it knows, of these keyframes.
+        telling: how poses are told.
+    """
+
+    known: KnownObject
+    keyframes: tuple[SolvedFrame, ...]
+    memories: Mapping[str, CameraMemory]
+    telling: Telling
+
+
+def known_here(known: KnownObject, rig: Rig) -> KnownHere:
+    """A known object before the cameras of a rig: those that saw it, where they stood to each other; in any world.
+
+    Raises:
+        ValueError: another unit, none of its cameras, or one that stands elsewhere.
+    """
+    if known.unit == FIRST_DISTANCES and len(rig) > 1:
+        raise ValueError(
+            "one camera has learnt it, so that its lengths are relative to its first distance; "
+            "sylpose object scale gives it a size"
+        )
+    if known.unit not in (rig.unit, FIRST_DISTANCES):
+        said = [f"in {unit}" if unit else "in no unit that is said" for unit in (known.unit, rig.unit)]
+        raise ValueError(f"its lengths are {said[0]}, those of the calibration {said[1]}")
+    both = [name for name in rig.names if name in known._cameras]
+    if not both:
+        raise ValueError(
+            f"it was seen by {', '.join(known._cameras)}, and the calibration has none of these ({', '.join(rig.names)})"
+        )
+    keyframes, off = _in_this_world(known, rig, both)
+    for name, far in _medians(off).items():
+        if far > SAME_RIG_PX:
+            raise ValueError(
+                f"{name} is another camera than the one that saw it, or stands elsewhere: what is known of it would be "
+                f"{far:.0f} px off in its images"
+            )
+    sized = len(rig) == 1 and known.unit != FIRST_DISTANCES
+    telling = Telling(
+        known.frame.from_learnt,
+        _calibrated_anew(known, rig, keyframes, off),
+        known.scale_sd,
+        known.radius,
+        rig.cameras[0].center if len(rig) == 1 else None,
+        sized,
+    )
+    return KnownHere(known, keyframes, {name: known._cameras[name] for name in both}, telling)
+
+
+def _in_this_world(
+    known: KnownObject, rig: Rig, names: Sequence[str]
+) -> tuple[tuple[SolvedFrame, ...], dict[str, FloatArray]]:
+    """The keyframes in the rig's world, and what `_off` says of them there. That is the world of the cameras that saw it, or
+    the one in which one of them stands where it stood: whichever has most of them stand so."""
+    worlds = [RigidTransform.identity()]
+    worlds += [rig[name].camera_from_world.inv() * known.rig[name].camera_from_world for name in names]
+    found = []
+    for new_from_world in worlds:
+        keyframes = tuple(_elsewhere(frame, new_from_world) for frame in known._keyframes)
+        off = _off(known, rig, keyframes, names)
+        far = np.array([*_medians(off).values()])
+        found.append(((-np.count_nonzero(far <= SAME_RIG_PX), np.minimum(far, 1e6).sum()), keyframes, off))
+    # As it is, unless another one is clearly better: it would be known no better, calibrated anew, by one camera alone.
+    same, *others = found
+    best = min(others, key=lambda world: world[0])
+    return best[1:] if best[0][0] < same[0][0] else same[1:]
+
+
+def _elsewhere(frame: SolvedFrame, new_from_world: RigidTransform) -> SolvedFrame:
+    """A keyframe in another world."""
+    if (new_from_world.as_matrix() == np.eye(4)).all():
+        return frame
+    turn = block_diag(*[turn_of(new_from_world)] * 2)
+    pose = new_from_world * frame.world_from_object
+    return replace(frame, world_from_object=pose, covariance=turn @ frame.covariance @ turn.T)
+
+
+def _off(known: KnownObject, rig: Rig, keyframes: Sequence[SolvedFrame], names: Sequence[str]) -> dict[str, FloatArray]:
+    """By camera, (n, 2) pixels from where its landmarks were seen to where the rig's cameras see them."""
+    off = {}
+    for name in names:
+        memory, pieces = known._cameras[name], [np.empty((0, 2))]
+        for k, (frame, features) in enumerate(zip(keyframes, memory.features, strict=True)):
+            places = frame.world_from_object.apply(memory.seen_in(k).mean).reshape(-1, 3)
+            pieces.append(rig[name].project(places) - features.pixels)
+        off[name] = np.concatenate(pieces)
+    return off
+
+
+def _medians(off: Mapping[str, FloatArray]) -> dict[str, float]:
+    """By camera how far it is off in the middle, pixels; infinite where landmarks are behind it, 0 of one without any."""
+    far = {name: np.nan_to_num(np.linalg.norm(its, axis=1), nan=np.inf) for name, its in off.items()}
+    return {name: float(np.median(its)) if len(its) else 0.0 for name, its in far.items()}
+
+
+def _calibrated_anew(
+    known: KnownObject, rig: Rig, keyframes: Sequence[SolvedFrame], off: Mapping[str, FloatArray]
+) -> FloatArray:
+    """(6, 6) covariance of (w, d): how far poses may be off where cameras are calibrated otherwise than when the object was
+    learnt. They are drawn by what its landmarks are off as a whole in each camera's images."""
+    far = []
+    for name, its in off.items():
+        if len(its):
+            camera = rig[name]
+            away = np.median([camera.camera_from_world.apply(k.world_from_object.translation)[2] for k in keyframes])
+            far.append(float(np.linalg.norm(np.nanmedian(its, axis=0))) * away / camera.focal)
+    # Of cameras that are off independently of each other, the mean.
+    shift = float(np.sqrt(np.sum(np.square(far)))) / len(far) if far else 0.0
+    return np.diag(np.repeat([(shift / known.radius) ** 2, shift**2], 3))
+
+
+def begun_with(here: KnownHere, rig: Rig, parts: Sequence[CameraPart], time: float) -> Joint:
+    """The state of a tracker that has lost an object that it knows from its frames 0 to K - 1; the cameras' parts get what
+    they know.
+
+    Args:
+        time: of the first frame to come.
+    """
+    sees = np.zeros((len(here.keyframes), len(rig)), bool)
+    for c, part in enumerate(parts):
+        memory = here.memories.get(part.camera.name)
+        if memory is None:
+            part.frames = {k: part.blind() for k in range(len(sees))}
+            continue
+        part.table = LandmarkTable.holding(memory.landmarks)
+        for k, (features, numbers) in enumerate(zip(memory.features, memory.numbers, strict=True)):
+            part.frames[k] = CameraFrame(features, np.zeros(len(features), bool), part.table, numbers.copy())
+            sees[k, c] = len(features) > 0
+    keyframes = tuple(
+        replace(
+            frame,
+            number=k,
+            time=time + k - len(sees),
+            late=np.zeros(len(rig)),
+            viewpoints=viewpoints(rig, frame.world_from_object),
+            sees=sees[k],
+        )
+        for k, frame in enumerate(here.keyframes)
+    )
+    return Joint(
+        ObjectModel(None, here.known.radius, here.known._points),
+        last=keyframes[-1],
+        keyframes=keyframes,
+        velocity=Velocity(frames=1, interval=1.0),
+        missed=1,
+        seen_again=WAIT_FOR_MORE,  # poses are wanted from the first frame on, however little of it is seen there
+        lost=True,
+        proven=True,
+    )

@@ -1,0 +1,446 @@
+"""`sylpose pose`: points and markers that are known on an object, from files, in each frame by itself."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose import calibration
+from sylpose.app.pixel_files import load_pixels
+from sylpose.app.point_files import load_points
+from sylpose.boards.specification import parse_board
+from sylpose.cli import main
+from sylpose.report.files import read_trajectory, read_tum
+from sylpose.results import FrameStatus, Observable, Trajectory
+from sylpose.rig import Rig
+from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
+from tests.takes import BOX, RIG, elsewhere, errors, marked
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+FRAMES = 12
+POINTS = {f"p{k}": place for k, place in enumerate(np.random.default_rng(1).uniform(-0.12, 0.12, (9, 3)))}
+
+
+@pytest.fixture
+def rig_file(tmp_path: Path) -> Path:
+    calibration.save(RIG, tmp_path / "rig.toml")
+    return tmp_path / "rig.toml"
+
+
+def points_file(folder: Path, scale: float = 1.0) -> Path:
+    lines = [f"{name},{x},{y},{z}" for name, (x, y, z) in ((n, scale * p) for n, p in POINTS.items())]
+    (folder / "points.csv").write_text("name,x,y,z\n" + "\n".join(lines) + "\n")
+    return folder / "points.csv"
+
+
+def rows(noise: float = 0.5, seed: int = 0) -> list[tuple[str, int, str, float, float]]:
+    """What the cameras see of the points, one in nine somewhere else."""
+    rng, out = np.random.default_rng(seed), []
+    for k in range(FRAMES):
+        places = elsewhere(k).apply(np.array([*POINTS.values()]))
+        for camera in RIG:
+            pixels = camera.project(places) + noise * rng.normal(size=(len(places), 2))
+            pixels[rng.integers(len(places))] += rng.uniform(30, 80, 2)
+            out += [(camera.name, k, name, *pixel) for name, pixel in zip(POINTS, pixels.tolist(), strict=True)]
+    return out
+
+
+def table(path: Path, its: Iterable[tuple[object, ...]], header: str = "camera,frame,name,u,v") -> Path:
+    path.write_text("\n".join([header, *(",".join(map(str, row)) for row in its)]) + "\n")
+    return path
+
+
+def solved(out: Path) -> Trajectory:
+    return read_trajectory(out / "trajectory.csv")
+
+
+def squares(trajectory: Trajectory) -> np.ndarray:
+    """NEES by frame; the errors of (w, d) are in the file's order."""
+    off = np.array([errors(pose, elsewhere(pose.index)) for pose in trajectory])
+    return np.array([(e / pose.sigma) @ (e / pose.sigma) / 6 for e, pose in zip(off, trajectory, strict=True)])
+
+
+# --- points -------------------------------------------------------------------------------------------------------------
+
+
+def test_points_and_where_cameras_see_them(tmp_path: Path, rig_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pixels, out = table(tmp_path / "pixels.csv", rows()), tmp_path / "out"
+    asked = ["pose", str(points_file(tmp_path)), str(pixels), "--calibration", str(rig_file), "--out", str(out)]
+    assert main([*asked, "--rate", "50"]) == 0
+    trajectory = solved(out)
+    assert [pose.status for pose in trajectory] == [FrameStatus.FOUND] * FRAMES
+    assert all(pose.observable is Observable.ALL for pose in trajectory)
+    off = np.array([errors(pose, elsewhere(pose.index)) for pose in trajectory])
+    assert np.degrees(np.linalg.norm(off[:, :3], axis=1)).max() < 1.0
+    assert np.linalg.norm(off[:, 3:], axis=1).max() < 0.002
+    assert 0.3 < squares(trajectory).mean() < 3.0
+    np.testing.assert_allclose(trajectory.times, np.arange(FRAMES) / 50)
+    assert trajectory.unit == "m"
+    assert all((pose.inliers >= 7).all() and (pose.inliers <= 8).all() for pose in trajectory)  # of 9, one is wrong
+    assert all((pose.matches == len(POINTS)).all() for pose in trajectory)
+    assert 0.2 < np.mean([pose.residuals for pose in trajectory]) < 1.2
+    assert len(read_tum(out / "trajectory.tum")[0]) == FRAMES
+    assert f"Found         {FRAMES} of {FRAMES} frames" in capsys.readouterr().out
+    assert main(["view", str(out), "cam_2"]) == 0
+    # The same again, to the byte, and in another unit.
+    first = (out / "trajectory.csv").read_bytes()
+    assert main([*asked, "--rate", "50"]) == 0
+    assert (out / "trajectory.csv").read_bytes() == first
+    assert main([*asked, "--unit", "mm", "--is-in", "m"]) == 0
+    np.testing.assert_allclose(solved(out).positions, 1000 * trajectory.positions, atol=1e-3)
+
+
+def test_each_frame_is_found_by_itself(tmp_path: Path, rig_file: Path) -> None:
+    """What is seen in other frames changes nothing; those of which too little is seen have no pose, and say why."""
+    its, points = rows(), points_file(tmp_path)
+    few: list[tuple[object, ...]] = [
+        row for row in its if row[1] not in (3, 4) or (row[0] == "cam_0" and row[2] in ("p1", "p2", "p3"))
+    ]
+    few = [row if row[1] != 4 else (*row[:3], "", "") for row in few]
+    tables: dict[str, list[tuple[object, ...]]] = {"all": [*its], "few": few}
+    for name, these in tables.items():
+        pixels = table(tmp_path / f"{name}.csv", these)
+        asked = ["pose", str(points), str(pixels), "--calibration", str(rig_file), "--out", str(tmp_path / name)]
+        assert main(asked) == 0
+    every, some = (solved(tmp_path / name) for name in ("all", "few"))
+    for a, b in zip(every, some, strict=True):
+        if b.index in (3, 4):
+            assert b.status is FrameStatus.TOO_FEW_MATCHES
+            assert b.world_from_object is None
+            assert ("3 points seen" if b.index == 3 else "0 points seen") in b.reason
+        else:
+            np.testing.assert_array_equal(a.position, b.position)
+    assert len(read_tum(tmp_path / "few" / "trajectory.tum")[0]) == FRAMES - 2
+
+
+def test_flat_objects_before_one_camera_are_not_told_from_their_mirror_image(tmp_path: Path) -> None:
+    """A small flat object far away: the frames in which its tilt can be told are right, others have no pose."""
+    rig = Rig(RIG.cameras[:1], "m")
+    calibration.save(rig, tmp_path / "rig.toml")
+    flat = {f"p{k}": place for k, place in enumerate(0.03 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]))}
+    (tmp_path / "flat.csv").write_text("name,x,y,z\n" + "".join(f"{n},{x},{y},{z}\n" for n, (x, y, z) in flat.items()))
+    rng, its, true = np.random.default_rng(0), [], []
+    for k in range(20):
+        turn = Rotation.from_rotvec(rng.uniform(0.2, 0.5) * np.array([*rng.normal(size=2), 0]) * [1, 1, 0])
+        pose = RigidTransform.from_components(0.1 * rng.normal(size=3), turn)
+        true.append(pose)
+        pixels = rig.cameras[0].project(pose.apply([*flat.values()])) + 0.4 * rng.normal(size=(4, 2))
+        its += [("cam_0", k, name, *pixel) for name, pixel in zip(flat, pixels.tolist(), strict=True)]
+    pixels_file = table(tmp_path / "pixels.csv", its)
+    asked = ["pose", str(tmp_path / "flat.csv"), str(pixels_file), "--calibration", str(tmp_path / "rig.toml")]
+    main([*asked, "--out", str(tmp_path / "out")])
+    statuses = [pose.status for pose in solved(tmp_path / "out")]
+    assert statuses.count(FrameStatus.NOT_OBSERVABLE) > 5
+    for pose in solved(tmp_path / "out"):
+        assert (pose.world_from_object is None) == (not pose.status.has_pose)
+        if pose.measured:
+            off = errors(pose, true[pose.index])
+            assert np.degrees(np.linalg.norm(off[:3])) < 4.0 * np.degrees(np.linalg.norm(pose.sigma[:3])) + 1.0
+
+
+def test_deeplabcut_writes_a_table_for_each_camera(tmp_path: Path, rig_file: Path) -> None:
+    its = rows()
+    files = []
+    for camera in RIG.names:
+        head = [
+            "scorer" + 3 * len(POINTS) * ",net",
+            "bodyparts," + ",".join(f"{name},{name},{name}" for name in POINTS),
+            "coords" + len(POINTS) * ",x,y,likelihood",
+        ]
+        lines = []
+        for k in range(FRAMES):
+            here = [row for row in its if row[0] == camera and row[1] == k]
+            # What the network is not sure of is far off, and says so.
+            lines.append(f"{k}," + ",".join(f"{u},{v},0.99" if n != "p0" else "1.0,2.0,0.2" for _, _, n, u, v in here))
+        files.append(tmp_path / f"{camera}DLC_resnet50_boxshuffle1_1000.csv")
+        files[-1].write_text("\n".join([*head, *lines]) + "\n")
+    asked = ["pose", str(points_file(tmp_path, 1000.0)), "--calibration", str(rig_file), "--is-in", "mm"]
+    assert main([*asked, *map(str, files), "--out", str(tmp_path / "a")]) == 0
+    trajectory = solved(tmp_path / "a")
+    assert all(pose.measured for pose in trajectory)
+    assert 0.3 < squares(trajectory).mean() < 3.0
+    assert all((pose.matches == len(POINTS) - 1).all() for pose in trajectory)
+    # Named otherwise, by --camera.
+    named = [
+        f"--camera={name}={file.rename(tmp_path / f'{k}.csv')}"
+        for k, (name, file) in enumerate(zip(RIG.names, files, strict=True))
+    ]
+    assert main([*asked, *named, "--out", str(tmp_path / "b")]) == 0
+    assert (tmp_path / "a" / "trajectory.csv").read_bytes() == (tmp_path / "b" / "trajectory.csv").read_bytes()
+    with pytest.raises(ValueError, match=r"0\.csv: its name begins with that of no camera"):
+        load_pixels([tmp_path / "0.csv"], ("left", "right"))
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian", "obj", "toml"])
+def test_vertices_are_points_by_their_numbers(form: str, tmp_path: Path) -> None:
+    places = np.array([*POINTS.values()]).astype(np.float32)
+    path = tmp_path / f"model.{form if form in ('obj', 'toml') else 'ply'}"
+    if form == "obj":
+        lines = ["# a mesh", "o box", *(f"v {x} {y} {z}" for x, y, z in places.tolist()), "vn 0 0 1", "f 1 2 3"]
+        path.write_text("\n".join(lines))
+    elif form == "toml":
+        path.write_text("unit = 'm'\n[points]\n" + "".join(f"{k} = {p}\n" for k, p in enumerate(places.tolist())))
+    else:
+        head = f"ply\nformat {form} 1.0\ncomment by hand\nelement vertex {len(places)}\nproperty float x\nproperty float y\n"
+        head += (
+            "property float z\nproperty uchar red\nelement face 1\nproperty list uchar int vertex_index\nend_header\n"
+        )
+        order = ">" if form == "binary_big_endian" else "<"
+        body = b"".join(struct.pack(f"{order}fffB", *place, 7) for place in places.tolist())
+        if form == "ascii":
+            body = "\n".join(f"{x} {y} {z} 7" for x, y, z in places.tolist()).encode() + b"\n3 0 1 2\n"
+        path.write_bytes(head.encode() + body)
+    model = load_points(path)
+    assert [*model.points] == [str(k) for k in range(len(places))]
+    np.testing.assert_allclose([*model.points.values()], places, rtol=1e-6)
+
+
+# --- markers ------------------------------------------------------------------------------------------------------------
+
+SIDE = 0.09
+# On three faces of the box, each with its axes: center, x to the right, y up.
+FACES = {
+    2: ([0.0, 0.0, -BOX[2] / 2], [1, 0, 0], [0, -1, 0]),
+    5: ([-BOX[0] / 2, 0.0, 0.01], [0, 0, -1], [0, -1, 0]),
+    7: ([0.0, -BOX[1] / 2, 0.0], [1, 0, 0], [0, 0, 1]),
+}
+
+
+@pytest.fixture(scope="module")
+def cube(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of a box with markers on it."""
+    body = chamfered_box(BOX, 600)
+    for number, (center, x, y) in FACES.items():
+        axes = np.column_stack([x, y, np.cross(x, y)]).astype(float)
+        place = RigidTransform.from_components(center, Rotation.from_matrix(axes))
+        body = marked(body, parse_board(f"apriltag:36h11,id={number},size={SIDE}"), place)
+    folder = tmp_path_factory.mktemp("cube") / "take"
+    write_recording(Recording(Scene(RIG, (Actor(body, elsewhere),), 6, 3)), folder)
+    return folder
+
+
+def layout(folder: Path, scale: float = 1.0, unit: str = "m") -> Path:
+    text = f'unit = "{unit}"\nfamily = "apriltag:36h11"\nsize = {scale * SIDE}\n'
+    for number, (center, x, y) in FACES.items():
+        text += f"\n[markers.{number}]\n"
+        if number == 5:
+            c, across, up = (np.array(v, float) for v in (center, x, y))
+            ends = [c + SIDE / 2 * (a * across + b * up) for a, b in ((-1, 1), (1, 1), (1, -1), (-1, -1))]
+            text += f"corners = {(scale * np.array(ends)).tolist()}\n"
+        else:
+            text += f"center = {(scale * np.array(center)).tolist()}\nx = {x}\ny = {y}\n"
+    (folder / "cube.toml").write_text(text)
+    return folder / "cube.toml"
+
+
+def test_markers_are_found_in_a_recording(cube: Path, tmp_path: Path) -> None:
+    assert main(["pose", str(layout(tmp_path)), str(cube), "--out", str(tmp_path / "out")]) == 0
+    trajectory = solved(tmp_path / "out")
+    assert [pose.status for pose in trajectory] == [FrameStatus.FOUND] * 6
+    off = np.array([errors(pose, elsewhere(pose.index)) for pose in trajectory])
+    assert np.degrees(np.linalg.norm(off[:, :3], axis=1)).max() < 0.5
+    assert np.linalg.norm(off[:, 3:], axis=1).max() < 0.002
+    assert squares(trajectory).mean() < 4.0
+    assert all(pose.matches.sum() >= 12 for pose in trajectory)
+    np.testing.assert_allclose(trajectory.times, np.arange(6) / 30, atol=1e-6)
+    # In millimetres, of some frames.
+    asked = ["pose", str(layout(tmp_path, 1000.0, "mm")), str(cube), "--out", str(tmp_path / "mm")]
+    assert main([*asked, "--start", "1", "--stop", "6", "--every", "2"]) == 0
+    some = solved(tmp_path / "mm")
+    assert [pose.index for pose in some] == [1, 3, 5]
+    np.testing.assert_allclose(some.positions, trajectory.positions[1::2], atol=1e-9)
+
+
+def test_markers_that_look_inwards_are_said(cube: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = layout(tmp_path).read_text()
+    (tmp_path / "cube.toml").write_text(text.replace("y = [0, 0, 1]", "y = [0, 0, -1]"))
+    assert load_points(layout(tmp_path)).markers.inwards == ()  # type: ignore[union-attr]
+    (tmp_path / "cube.toml").write_text(text.replace("y = [0, 0, 1]", "y = [0, 0, -1]"))
+    assert main(["pose", str(tmp_path / "cube.toml"), str(cube), "--out", str(tmp_path / "out"), "--stop", "2"]) == 0
+    assert "marker 7 looks inwards" in capsys.readouterr().out
+    # What the others say is believed.
+    assert np.degrees(np.linalg.norm(errors(solved(tmp_path / "out")[0], elsewhere(0))[:3])) < 1.0
+
+
+def test_markers_that_are_not_there(cube: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is found: every frame says so, and the exit code is 1."""
+    text = layout(tmp_path).read_text().replace("markers.2]", "markers.12]")
+    text = text.replace("markers.5]", "markers.15]").replace("markers.7]", "markers.17]")
+    (tmp_path / "other.toml").write_text(text)
+    assert main(["pose", str(tmp_path / "other.toml"), str(cube), "--out", str(tmp_path / "out")]) == 1
+    assert "the object was found in no frame. Too few features" in capsys.readouterr().err
+    assert all(pose.status is FrameStatus.TOO_FEW_MATCHES for pose in solved(tmp_path / "out"))
+
+
+# --- what cannot be -----------------------------------------------------------------------------------------------------
+
+
+def toml(text: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        (folder / "model.toml").write_text(text)
+        return folder / "model.toml"
+
+    return write
+
+
+def other(name: str, text: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        (folder / name).write_text(text)
+        return folder / name
+
+    return write
+
+
+HEAD = 'family = "apriltag:36h11"\nsize = 2\n[markers.3]\n'
+PLY = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+
+
+@pytest.mark.parametrize(
+    ("write", "words"),
+    [
+        (lambda folder: folder / "no.csv", "no.csv: no such file"),
+        (other("a.stl", "solid"), "points are read from .csv, .toml, .ply, .obj"),
+        (other("a.csv", "name,x,y\n"), "line 1: the columns name,x,y,z are expected"),
+        (other("a.csv", "name,x,y,z\na,1,2,3\na,1,2,3\n"), "line 3: the point 'a' is there twice"),
+        (other("a.csv", "name,x,y,z\na,1,2\n"), "line 2: 4 cells are expected, got 3"),
+        (other("a.csv", "name,x,y,z\na,1,2,nan\n"), "line 2: a: three numbers"),
+        (other("a.csv", "name,x,y,z\n"), "no points in it"),
+        (other("a.obj", "v 1 2\n"), "line 1: a vertex is three numbers"),
+        (other("a.obj", "v 1 2 inf\n"), "vertices that are not finite"),
+        (other("a.ply", "solid"), "not PLY"),
+        (other("a.ply", PLY.replace("vertex 1", "vertex 2") + "1 2 3\n"), "it ends before its vertices do"),
+        (other("a.ply", PLY.replace("property float z\n", "")), "no vertices with x, y and z"),
+        (other("a.ply", PLY.replace("ascii", "binary_middle_endian")), "its format is binary_middle_endian"),
+        (other("a.ply", PLY.replace("vertex 1", "vertex 99999999999")), "more than 1000000 points"),
+        (toml("points = 3"), "points: a table is expected"),
+        (toml("[points]\na = [1, 2]"), "points: a: three numbers"),
+        (toml("unit = 'parsec'"), "unit: one of m, cm"),
+        (toml("point = 3"), "point: unit, points, markers, family and size are known"),
+        (toml("size = 3"), "size: of markers, and there are none"),
+        (toml("[markers.1]\ncenter = [0, 0, 0]"), "family: that of the markers is expected"),
+        (toml('family = "charuco:5x7"\n[markers.1]\ncorners = []'), "markers.1.corners: four points"),
+        (
+            toml('family = "x"\nsize = 1\n[markers.1]\ncenter = [0, 0, 0]\nx = [1, 0, 0]\ny = [0, 1, 0]'),
+            "no board or marker",
+        ),
+        (toml(HEAD + "center = [0, 0, 0]"), "markers.3: corners, or center, x and y are expected"),
+        (toml(HEAD + "center = [0, 0, 0]\nx = [1, 0, 0]\ny = [1, 1, 0]"), "square to each other"),
+        (toml(HEAD + "corners = [[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]]"), "those of no square"),
+        (
+            toml(HEAD + "corners = [[0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0]]"),
+            "its sides are 9 long, and size says 2",
+        ),
+        (toml(HEAD.replace("markers.3", "markers.a") + "center = 1"), "tables by number are expected"),
+    ],
+)
+def test_models_that_cannot_be(
+    write: Callable[[Path], Path],
+    words: str,
+    tmp_path: Path,
+    rig_file: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pixels = table(tmp_path / "pixels.csv", rows())
+    asked = ["pose", str(write(tmp_path)), str(pixels), "--calibration", str(rig_file), "--out", str(tmp_path / "out")]
+    assert main(asked) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "line 1: the columns camera,frame,name,u,v are expected; camera, frame, name, u, v missing"),
+        ("camera,frame,name,u\n", "v missing"),
+        ("camera,frame,name,u,v,w\n", "the column 'w' is not known"),
+        ("camera,frame,name,u,x,v\n", "the column 'x' is not known, or there twice"),
+        ("camera,frame,name,u,v\ncam_7,0,p0,1,2\n", "line 2: no camera 'cam_7' in the calibration"),
+        ("camera,frame,name,u,v\ncam_1,0.5,p0,1,2\n", "line 2: '0.5' is no frame's number"),
+        ("camera,frame,name,u,v\ncam_1,-1,p0,1,2\n", "line 2: '-1' is no frame's number"),
+        ("camera,frame,name,u,v\ncam_1,0,p0,1\n", "line 2: 5 cells are expected, got 4"),
+        ("camera,frame,name,u,v\ncam_1,0,p0,1,inf\n", "line 2: 1.0, inf is no pixel"),
+        ("camera,frame,name,u,v\ncam_1,0,p0,1,2\ncam_1,0,p0,1,2\n", "line 3: cam_1 sees 'p0' twice in frame 0"),
+        (
+            "camera,frame,name,u,v\ncam_1,0,nose,1,2\n",
+            "none of the points that cameras see (nose) is one of the object",
+        ),
+        ("camera,frame,name,u,v,time\ncam_1,0,p0,1,2,0\ncam_2,0,p0,1,2,1\n", "line 3: frame 0 has no time, or two"),
+        ("camera,frame,name,u,v,time\ncam_1,0,p0,1,2,3\ncam_2,1,p0,1,2,1\n", "times that do not increase"),
+        ("scorer,a,a\nbodyparts,p0,p0\ncoords,x,y\n0,1,2\n", "its name begins with that of no camera"),
+        ("scorer,a\nindividuals,m\nbodyparts,p0\ncoords,x\n", "its name begins with that of no camera"),
+    ],
+)
+def test_tables_that_cannot_be(
+    text: str, words: str, tmp_path: Path, rig_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "pixels.csv").write_text(text)
+    points = str(points_file(tmp_path))
+    asked = [
+        "pose",
+        points,
+        str(tmp_path / "pixels.csv"),
+        "--calibration",
+        str(rig_file),
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    assert main(asked) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("scorer,a\nindividuals,m\nbodyparts,p0\ncoords,x\n", "of several animals"),
+        ("scorer,a\nbodyparts,p0\n", "lines 2 and 3 of DeepLabCut's table"),
+        ("scorer,a,a\nbodyparts,p0,p0\ncoords,x,x\n", "line 3: x of p0 is there twice"),
+        ("scorer,a\nbodyparts,p0\ncoords,x\n", "line 3: x, y and likelihood of p0 are expected"),
+        ("scorer,a,a\nbodyparts,p0,p0\ncoords,x,y\n0,1\n", "line 4: 3 cells are expected, got 2"),
+        ("scorer,a,a\nbodyparts,p0,p0\ncoords,x,y\n0,1,b\n", "line 4: 'b' is no number"),
+    ],
+)
+def test_tables_of_networks_that_cannot_be(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "cam_1DLC.csv").write_text(text)
+    with pytest.raises(ValueError, match=rf"cam_1DLC\.csv: {words}"):
+        load_pixels([tmp_path / "cam_1DLC.csv"], RIG.names)
+
+
+def test_what_does_not_go_together(
+    cube: Path, tmp_path: Path, rig_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points, pixels = str(points_file(tmp_path)), str(table(tmp_path / "pixels.csv", rows()))
+    out = ["--out", str(tmp_path / "out")]
+    timed = table(tmp_path / "timed.csv", [(*row, row[1] / 9) for row in rows()], "camera,frame,name,u,v,time")
+    for asked, words in (
+        ([points, pixels], "--calibration FILE: tables of pixels need one"),
+        ([points, str(cube)], "points.csv: no markers in it"),
+        (
+            [str(layout(tmp_path)), pixels, "--calibration", str(rig_file)],
+            "it has markers, which are looked for in a recording",
+        ),
+        ([str(layout(tmp_path)), str(cube), "--is-in", "mm"], "--is-in mm"),
+        ([points, str(timed), "--calibration", str(rig_file), "--rate", "9"], "--rate: the tables have times"),
+        ([points, pixels, "--calibration", str(rig_file), "--max-error", "0"], "--max-error must be"),
+        ([points, pixels, "--calibration", str(rig_file), "--camera", "x=y"], "no camera x in the calibration"),
+        ([str(layout(tmp_path)), str(cube), "--out", str(cube)], "this is the recording's own folder"),
+    ):
+        assert main(["pose", *out, *asked]) == 2
+        err = capsys.readouterr().err
+        assert words in err
+        assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "settings.toml").write_text("")
+    assert main(["pose", *out, points, pixels, "--calibration", str(rig_file)]) == 2
+    assert "a run's results are there" in capsys.readouterr().err

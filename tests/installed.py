@@ -1,0 +1,99 @@
+"""Whether what `make dist` built is whole, and works where there is no checkout: `python -m tests.installed DIST`.
+
+The wheel and the sdist are installed into environments of their own, in a temporary folder, and used from there; the wheel
+renders and tracks a short recording.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tarfile
+import tempfile
+import venv
+from pathlib import Path
+from zipfile import ZipFile
+
+from sylpose import __version__
+from tests.where import REPOSITORY
+
+PACKAGE = REPOSITORY / "src" / "sylpose"
+# Beside the package: what says of the project what it is, and may be done with it.
+LEGAL = [name for name in ("LICENSE", "NOTICE") if (REPOSITORY / name).exists()]
+DEMO = ["demo", "--frames", "6", "--turn", "9", "--cameras", "3"]
+
+
+def package_files() -> set[str]:
+    """All that belongs into a wheel, by the path in it."""
+    files = (path for path in PACKAGE.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    return {f"sylpose/{path.relative_to(PACKAGE).as_posix()}" for path in files}
+
+
+def wheel_contents(wheel: Path) -> list[str]:
+    """What is wrong with the files in a wheel, a sentence each."""
+    with ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    info = f"sylpose-{__version__}.dist-info/"
+    of_package = {name for name in names if not name.startswith(info)}
+    wrong = [
+        f"{wheel.name} has {name}, which is no part of the package" for name in sorted(of_package - package_files())
+    ]
+    wrong += [f"{wheel.name} lacks {name}" for name in sorted(package_files() - of_package)]
+    wrong += [f"{wheel.name} lacks {name}" for name in LEGAL if f"{info}licenses/{name}" not in names]
+    return wrong
+
+
+def sdist_contents(sdist: Path) -> list[str]:
+    """The same for a source distribution, by which others package it: with its tests and documents."""
+    with tarfile.open(sdist) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    wanted = {f"src/{name}" for name in package_files()} | {*LEGAL, "README.md", "CITATION.cff", "pyproject.toml"}
+    wanted |= {"tests/installed.py", "docs/map.md"}
+    wrong = [f"{sdist.name} lacks {name}" for name in sorted(wanted - names)]
+    return wrong + [
+        f"{sdist.name} has {name}" for name in sorted(names) if name.startswith((".venv", "demo/", "dist/"))
+    ]
+
+
+def ran(folder: Path, *command: str | Path) -> str:
+    """What a command in a folder prints, without anything of this checkout."""
+    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    done = subprocess.run(
+        [str(word) for word in command], cwd=folder, env=kept, stdout=subprocess.PIPE, text=True, check=False
+    )
+    if done.returncode:
+        sys.exit(f"{' '.join(str(word) for word in command)}: exit code {done.returncode}\n{done.stdout}")
+    return done.stdout
+
+
+def try_out(built: Path, folder: Path, commands: list[list[str]]) -> None:
+    """Installs a wheel or sdist into an environment in a folder and runs some commands of it there."""
+    venv.create(folder / "environment", with_pip=True)
+    programs = folder / "environment" / ("Scripts" if os.name == "nt" else "bin")
+    python, sylpose = programs / "python", programs / "sylpose"
+    ran(folder, python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", built.resolve())
+    where = ran(
+        folder, python, "-c", "import sylpose; print(sylpose.__file__, *map(str, (sylpose.track, sylpose.Rig)))"
+    )
+    assert Path(where.split()[0]).is_relative_to(folder / "environment"), where
+    assert ran(folder, sylpose, "--version") == f"sylpose {__version__}\n"
+    assert "track" in ran(folder, sylpose, "--help")
+    assert json.loads(ran(folder, sylpose, "doctor", "--json"))["problems"] == []
+    for command in commands:
+        print(ran(folder, sylpose, *command))
+
+
+def main(built: Path) -> None:
+    (wheel,), (sdist,) = built.glob("sylpose-*.whl"), built.glob("sylpose-*.tar.gz")
+    if wrong := wheel_contents(wheel) + sdist_contents(sdist):
+        sys.exit("\n".join(wrong))
+    for file, commands in ((sdist, []), (wheel, [DEMO])):
+        with tempfile.TemporaryDirectory() as folder:
+            try_out(file, Path(folder).resolve(), commands)
+        print(f"{file.name}: whole, and works")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

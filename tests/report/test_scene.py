@@ -1,0 +1,89 @@
+"""What is shown of a result in three dimensions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose import calibration
+from sylpose.app.record import USED
+from sylpose.app.scene import read_scene
+from sylpose.report.files import write_trajectory
+from sylpose.report.scene import FRUSTUM, GRID, Cloud, Scene, scene_of
+from sylpose.results import FramePose, FrameStatus, Trajectory
+from sylpose.rig import Rig, camera_at
+
+CAMERAS = ("left", "right", "above")
+
+
+def rig(unit: str = "m") -> Rig:
+    eyes = ((1.0, 0, 0), (0, 1.2, 0), (0, 0.1, 0.9))
+    return Rig([camera_at(n, eye, (0, 0, 0), 800, (640, 480)) for n, eye in zip(CAMERAS, eyes, strict=True)], unit)
+
+
+def trajectory(n: int = 5, lost: tuple[int, ...] = ()) -> Trajectory:
+    frames = []
+    for k in range(n):
+        pose = RigidTransform.from_components([0.01 * k, 0, 0], Rotation.from_rotvec([0, 0.02 * k, 0]))
+        frame = FramePose(10 + k, k / 30, FrameStatus.TRACKED, pose, 1e-6 * np.eye(6), np.full(3, 50), np.full(3, 0.2))
+        if k in lost:
+            frame = replace(frame, status=FrameStatus.LOST, world_from_object=None, reason="nothing was seen")
+        frames.append(frame)
+    return Trajectory(frames, CAMERAS, "m")
+
+
+def test_cameras_and_poses_are_where_they_are() -> None:
+    bent = [replace(camera, distortion=np.array([-0.2, 0.05, 0.001, 0, 0])) for camera in rig()]
+    its = Rig(bent, "m")
+    scene = scene_of(trajectory(lost=(3,)), its)
+    for c, camera in enumerate(its):
+        assert np.allclose(scene.world_from_camera[c, :3, 3], camera.center)
+        # The frustum's end is where the image's pixels look, at one depth.
+        sheet = scene.sheets[c]
+        assert np.allclose(camera.project(sheet[0]), [[x, 0] for x in np.linspace(0, 639, GRID)], atol=0.05)
+        assert np.allclose(camera.project(sheet[:, -1]), [[639, y] for y in np.linspace(0, 479, GRID)], atol=0.05)
+        assert np.allclose(scene.corners[c], [sheet[0, 0], sheet[0, -1], sheet[-1, -1], sheet[-1, 0]])
+        depth = (sheet - camera.center) @ camera.direction
+        assert np.allclose(depth, FRUSTUM * scene.reach)
+    assert np.isnan(scene.world_from_object[3]).all()
+    assert np.isfinite(np.delete(scene.world_from_object, 3, axis=0)).all()
+    assert np.allclose(scene.world_from_object[2, :3, 3], [0.02, 0, 0])
+    assert scene.status[3] == "lost"
+    assert scene.reason == ("", "", "", "nothing was seen", "")
+    assert scene.measured.tolist() == [True, True, True, False, True]
+    assert 0.9 < scene.reach < 1.2
+    assert len(scene.points) == 0 < scene.axis_length
+
+
+def test_points_have_the_colour_of_the_camera_that_saw_them() -> None:
+    cloud = Cloud(np.eye(3), np.array([2, 0, 2]), 0.1)
+    scene = scene_of(trajectory(), rig(), cloud)
+    assert scene.axis_length == 0.1
+    assert np.array_equal(scene.point_colors, scene.colors[[2, 0, 2]])
+    assert len({*map(tuple, scene.colors.tolist())}) == 3
+
+
+@pytest.mark.parametrize("lost", [(), (0, 1, 2, 3, 4)])
+def test_a_result_folder_is_read_with_and_without_poses(tmp_path: Path, lost: tuple[int, ...]) -> None:
+    write_trajectory(tmp_path, trajectory(lost=lost))
+    calibration.save(rig(), tmp_path / USED)
+    scene = read_scene(tmp_path)
+    assert isinstance(scene, Scene)
+    assert scene.index.tolist() == [10, 11, 12, 13, 14]
+    assert np.isfinite(scene.world_from_object).all() == (not lost)
+    # Without a pose, it is where the cameras look.
+    assert np.linalg.norm(scene.center) < 0.03
+    assert scene.covariance.shape == (5, 6, 6)
+
+
+def test_another_rig_is_refused(tmp_path: Path) -> None:
+    write_trajectory(tmp_path, trajectory())
+    calibration.save(rig().subset(CAMERAS[:2]), tmp_path / USED)
+    with pytest.raises(ValueError, match=r"it has the cameras left, right, the trajectory left, right, above"):
+        read_scene(tmp_path)
+    with pytest.raises(ValueError, match="trajectory: of the cameras"):
+        scene_of(trajectory(), rig().subset(CAMERAS[:2]))
