@@ -30,6 +30,16 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "Results": ("Trajectory", "FramePose", "FrameStatus", "Observable", "Motion", "Status", "RotationEstimate"),
     "Cameras and what they saw": ("Camera", "Rig", "FrameSet", "Box", "Matches", "PairMoments"),
+    "The world's and the object's frame": (
+        "World",
+        "load_world",
+        "world_with_up",
+        "ObjectFrame",
+        "Board",
+        "parse_board",
+        "find_board",
+        "Sighting",
+    ),
     "Two frames, known points": ("estimate_motion", "estimate_motions", "estimate_pose"),
     "Another camera's view": (
         "view_of_motion",

@@ -27,12 +27,7 @@ __all__ = ["REPOSITORY", "build", "navigation", "stage"]
 REPOSITORY = Path(__file__).resolve().parent.parent
 NAV = Path(__file__).with_name("nav.toml")
 # Pages that are not in docs/, by name: their files.
-ELSEWHERE = {
-    "index": REPOSITORY / "README.md",
-    "contributing": REPOSITORY / "CONTRIBUTING.md",
-    "changelog": REPOSITORY / "CHANGELOG.md",
-    "security": REPOSITORY / "SECURITY.md",
-}
+ELSEWHERE = {path.stem.lower(): path for path in sorted(REPOSITORY.glob("*.md")) if path.stem != "README"}
 # Where pages that are made come from, as far as their links are concerned.
 MADE = {"api": REPOSITORY / "pages" / "api.md"}
 # In Markdown outside of code: [words](target) and ![words](target).
@@ -53,7 +48,7 @@ def sources() -> dict[str, Path]:
     """All pages by name, and the files that they are made of."""
     pages = {path.stem: path for path in sorted((REPOSITORY / "docs").glob("*.md"))}
     pages |= {f"notebooks/{path.stem}": path for path in notebooks.NOTEBOOKS}
-    return {**ELSEWHERE, **pages, **MADE}
+    return {"index": REPOSITORY / "README.md", **ELSEWHERE, **pages, **MADE}
 
 
 def navigation() -> list[tuple[str, list[str]]]:

@@ -100,9 +100,9 @@ def test_every_public_name_is_in_one_group() -> None:
 @pytest.mark.parametrize("name", sylpose.__all__)
 def test_every_public_name_is_described(name: str) -> None:
     said, thing = entry(name), getattr(sylpose, name)
-    first = (inspect.getdoc(thing) or "").splitlines()[0].split("`")[0]
-    assert first.strip()
-    assert first in said
+    first = (inspect.getdoc(thing) or "").splitlines()[0]
+    assert first
+    assert first in re.sub(r"\[(`\w+`)\]\(#\w+\)", r"\1", said)
     assert said.count("```") % 2 == 0
     if inspect.isfunction(thing):
         assert f"```python\n{name}(" in said
