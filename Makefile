@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # What touches cv2: OpenCV 4 and 5 are asked alike.
 OPENCV_TESTS := tests/calibration tests/capture tests/features tests/report tests/simulate tests/test_rig.py
 
-.PHONY: demo demo-network test test-slow test-opencv4 test-opencv5 browser web lint format dist bench bench-tracking bench-paper clean
+.PHONY: demo demo-network test test-slow test-opencv4 test-opencv5 browser web lint format dist bench bench-tracking bench-paper docs gallery clean
 
 # The package's own file has the version.
 $(VENV)/.installed: pyproject.toml src/sylpose/__init__.py
@@ -24,6 +24,11 @@ $(VENV)/.installed-dev: $(VENV)/.installed
 
 $(VENV)/.installed-bench: $(VENV)/.installed
 	$(PIP) install --quiet --editable '.[bench]'
+	touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(PIP) install --quiet --upgrade 'pip>=25.1'
+	$(PIP) install --quiet --editable . --group docs
 	touch $@
 
 demo: $(VENV)/.installed
@@ -100,9 +105,17 @@ bench-paper: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/consensus.py --seeds 2
 	$(BIN)/python benchmarks/sensors.py --scenes 20 --turns 10
 
+# The documentation as a site, in site/index.html. It stops at a link that leads nowhere.
+docs: $(VENV)/.installed-docs
+	$(BIN)/python -m pages.build --out site
+
+# The gallery's pictures and its page, from scenes that are rendered and tracked: some minutes.
+gallery: $(VENV)/.installed
+	$(BIN)/python -m pages.gallery
+
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) $(VENV)-opencv4 $(VENV)-opencv5 dist web/node_modules demo demo-network .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(VENV)-opencv4 $(VENV)-opencv5 dist web/node_modules demo demo-network site .pytest_cache .mypy_cache .ruff_cache .hypothesis

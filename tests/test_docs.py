@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 import shlex
 import shutil
+import tomllib
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib import import_module
@@ -154,6 +156,17 @@ def test_code_speaks_of_sections_that_exist() -> None:
                     wanted = anchor or re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
                     assert wanted in anchors_of(page), f"{path}: {page}, {title or anchor}"
     assert said > 20
+
+
+def test_toml_and_json_can_be_read() -> None:
+    read = {"toml": tomllib.loads, "json": json.loads}
+    found = [block for block in blocks() if block.language in read]
+    assert len(found) > 10
+    for block in found:
+        try:
+            read[block.language]("\n".join(block.lines))
+        except ValueError as error:
+            pytest.fail(f"{block.name}: {error}")
 
 
 # --- Python ----------------------------------------------------------------------------------------------------------

@@ -94,6 +94,10 @@ class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def save_object(known: KnownObject, path: Path | str) -> None:
     """Writes what is known of an object.
 
+    Args:
+        known: of `load_object`, or as a run has learnt it.
+        path: of the file, object.npz as a rule; replaced when it is there.
+
     Raises:
         OSError: naming the file, when it cannot be written.
     """
@@ -157,6 +161,9 @@ def _put(parts: dict[str, list[NDArray[Any]]], of: str, **rows: NDArray[Any]) ->
 
 def load_object(path: Path | str) -> KnownObject:
     """Reads what `save_object` has written.
+
+    Args:
+        path: of object.npz.
 
     Raises:
         FileNotFoundError: no such file.

@@ -115,7 +115,7 @@ def track_session(
             stand), or three vectors, "0,0,1 1,0,0 0,1,0" (that turn along).
         known: the object, or objects by name, as another take has learnt them (`app.object_files`): their poses are told in
             the frame that they had there. Their boxes are not used.
-        workers: as in `Tracker`; the result does not depend on it.
+        workers: as in `track`; the result does not depend on it.
         distributed: None for one process; "exact" or "economical": by nodes, one for each camera, over a simulated network
             (`network.stepwise`), of a recording.
         resume: go on with the run in `out` that was interrupted. It must have had the same options.

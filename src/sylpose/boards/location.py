@@ -65,6 +65,7 @@ def find_board(rig: Rig, images: Sequence[Image | None], board: Board, *, seed: 
         rig: C cameras.
         images: C images (h, w) or (h, w, 3) BGR as recorded, None where a camera has none.
         board: of `parse_board`, in the rig's unit.
+        seed: of the search. Same input and seed, same result.
 
     Raises:
         TypeError, ValueError: not one image per camera, of its size; this OpenCV has no detector for the target.

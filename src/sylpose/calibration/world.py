@@ -107,6 +107,8 @@ def world_with_up(up: ArrayLike, origin: ArrayLike = (0.0, 0.0, 0.0), *, unit: s
     Args:
         up: (3,) in the calibration's world, of any length.
         origin: (3,) there.
+        unit: of the calibration's lengths, or "" where that says none.
+        said: where it comes from, for people.
 
     Raises:
         ValueError: numbers that are not finite; no direction.
@@ -146,6 +148,7 @@ def load_world(path: Path | str, rig: Rig) -> World:
     """A world of a file: as `save_world` writes it, or of three points as `world_points` reads them.
 
     Args:
+        path: of the file.
         rig: the calibration that it is told in.
 
     Raises:

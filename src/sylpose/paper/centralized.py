@@ -208,6 +208,7 @@ def solve_centralized_batch(rotations: ArrayLike, moments: ArrayLike, *, aim: bo
     Args:
         rotations: (N, C, 3, 3) Q of camera_from_world, or (C, 3, 3) where all problems have the same cameras.
         moments: N lists of C `PairMoments`, or their matrices (N, C, 9, 9); zero for a camera without matches.
+        aim: as in `solve_centralized`.
 
     Raises:
         ValueError: as `solve_centralized`; moments that are not finite or not symmetric.

@@ -50,7 +50,21 @@ def track(
 
     Args:
         frames: of the recording, in order: `session.frames()`.
-        rig, boxes, method, features, offsets, workers, seed, known: see `Tracker`.
+        rig: C cameras. With one camera the object is put at distance 1 of it, and every frame's status says that the
+            scale is not observable.
+        boxes: where the object is in the first frame, per camera that sees it, pixels; None: the object is what moves
+            against the standing background.
+        method: "landmarks" (places of the features on the object grow certain over time: drifts least), "epipolar"
+            (epipolar geometry against several references), one of the paper's estimators frame to frame (as in
+            `estimate_motion`), or "known-depth" (Sylvester's equation for landmarks whose depth is known by now).
+        features: "sift" (SIFT in every frame, as in the paper), "klt" (followed from image to image, SIFT only where that
+            does not suffice: several times faster, and more precise; not for the paper's estimators, which want the
+            matches with the frame before) or "auto": "klt" for the method "landmarks", else "sift".
+        offsets: by camera, seconds by which its images are later than its time stamps say.
+        known: the object, as another take has learnt it (`load_object`): poses are told in the frame that it had there,
+            from the first frame on in which it is found.
+        workers: threads for detection and matching; None: one per core, at most one per camera.
+        seed: of the outlier rejection. The same input and seed give the same output, whatever the number of threads.
 
     Yields:
         One `TrackedFrame` per frame. Without boxes the first ones are held back until the object has moved.
@@ -87,7 +101,7 @@ class Tracking:
 
     Args:
         parts: by camera, each its own.
-        rig, boxes, method, features, offsets, seed, known: see `Tracker`.
+        rig, boxes, method, features, offsets, seed, known: see `track`.
 
     Raises:
         ValueError: as `track`.
@@ -212,21 +226,7 @@ class Tracker(Tracking):
     """Follows one rigid object, frame by frame: a context manager around its worker threads.
 
     Args:
-        rig: C cameras. With one camera the object is put at distance 1 of it, and every frame's status says that the
-            scale is not observable.
-        boxes: where the object is in the first frame, per camera that sees it, pixels; None: the object is what moves
-            against the standing background.
-        method: "landmarks" (places of the features on the object grow certain over time: drifts least), "epipolar"
-            (epipolar geometry against several references), one of the paper's estimators frame to frame (as in
-            `estimate_motion`), or "known-depth" (Sylvester's equation for landmarks whose depth is known by now).
-        features: "sift" (SIFT in every frame, as in the paper), "klt" (followed from image to image, SIFT only where that
-            does not suffice: several times faster, and more precise; not for the paper's estimators, which want the
-            matches with the frame before) or "auto": "klt" for the method "landmarks", else "sift".
-        offsets: by camera, seconds by which its images are later than its time stamps say.
-        known: the object, as another take has learnt it (`Tracker.learnt`): poses are told in the frame that it had there,
-            from the first frame on in which it is found.
-        workers: threads for detection and matching; None: one per core, at most one per camera.
-        seed: of the outlier rejection. The same input and seed give the same output, whatever the number of threads.
+        rig, boxes, method, features, offsets, known, workers, seed: see `track`.
 
     Raises:
         ValueError: as `track`.

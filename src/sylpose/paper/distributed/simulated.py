@@ -173,9 +173,11 @@ def solve_exchange(
         moments: C pair moments.
         aim: as in `solve_centralized`; cameras refuse moments of points more than 89 degrees off the axis then. Not aimed
             the points may have any unit in which no moment exceeds 1e30: coordinates up to about 1e6.
+        rounds: how often they send; more than once where messages are lost.
+        disturbances: of the network.
 
     Raises:
-        ValueError: as `solve_centralized`.
+        ValueError: as `solve_centralized`; a number of rounds that is none.
     """
     Q, moments = _checked(rotations, moments, aim, disturbances)
     rounds = whole(rounds, "rounds", least=1, most=MOST_ROUNDS)
@@ -191,10 +193,17 @@ def solve_refine(
     bound: int = 500,
     disturbances: Disturbances = UNDISTURBED,
 ) -> Agreement:
-    """The paper's scheme: cameras send rotations, in up to `bound` rounds. Arguments and errors as `solve_exchange`.
+    """The paper's scheme: cameras send rotations, round after round.
 
     It finds a minimum, not always the least one where there are several (collinear points, say): NOT_CERTIFIED then. Of
     matches that mean nothing it may find none.
+
+    Args:
+        rotations, moments, aim, disturbances: as `solve_exchange`.
+        bound: rounds at most.
+
+    Raises:
+        ValueError: as `solve_exchange`.
     """
     Q, moments = _checked(rotations, moments, aim, disturbances)
     bound = whole(bound, "bound", least=1, most=MOST_ROUNDS)
@@ -212,11 +221,12 @@ def solve_gossip(
     bound: int = 1000,
     disturbances: Disturbances = UNDISTURBED,
 ) -> Agreement:
-    """Average consensus of the evidence over a graph, in up to `bound` rounds.
+    """Average consensus of the evidence over a graph.
 
     Args:
+        rotations, moments, aim, disturbances: as `solve_exchange`.
         graph: the pairs of cameras that hear each other; None for a ring in the order given.
-        rotations, moments, aim: as `solve_exchange`.
+        bound: rounds at most.
 
     Raises:
         ValueError: as `solve_exchange`; a graph that is not connected.

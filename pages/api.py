@@ -1,0 +1,233 @@
+"""The page of all public names, written from their signatures and docstrings."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import inspect
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import sylpose
+
+__all__ = ["GROUPS", "markdown"]
+
+# All of `sylpose.__all__`, by what they are for.
+GROUPS: dict[str, tuple[str, ...]] = {
+    "Recordings": ("open_session", "Session", "Source", "Timeline", "open_live", "LiveSession", "Device", "Grab"),
+    "Tracking": (
+        "track_session",
+        "Run",
+        "track",
+        "TrackedFrame",
+        "Sightings",
+        "Nudge",
+        "Sought",
+        "KnownObject",
+        "load_object",
+        "save_object",
+    ),
+    "Results": ("Trajectory", "FramePose", "FrameStatus", "Observable", "Motion", "Status", "RotationEstimate"),
+    "Cameras and what they saw": ("Camera", "Rig", "FrameSet", "Box", "Matches", "PairMoments"),
+    "The world's and the object's frame": (
+        "World",
+        "load_world",
+        "world_with_up",
+        "ObjectFrame",
+        "Board",
+        "parse_board",
+        "find_board",
+        "Sighting",
+    ),
+    "Two frames, known points": ("estimate_motion", "estimate_motions", "estimate_pose"),
+    "Another camera's view": (
+        "view_of_motion",
+        "MotionView",
+        "view_of_rotation",
+        "RotationView",
+        "view_of_pose",
+        "trajectory_view",
+    ),
+    "The paper": (
+        "solve_one_camera",
+        "OneCameraSolution",
+        "solve_centralized",
+        "CentralizedSolution",
+        "solve_centralized_batch",
+        "CentralizedBatch",
+        "solve_depth_plane",
+        "DepthPlaneSolution",
+        "solve_robust",
+        "RobustSolution",
+        "Diagnosis",
+        "Fault",
+        "solve_2d3d",
+        "solve_3d3d",
+        "KnownDepthSolution",
+        "solve_exchange",
+        "solve_refine",
+        "solve_gossip",
+        "Agreement",
+        "Disturbances",
+    ),
+    "Sylvester's equation": ("solve_sylvester", "solve_generalized_sylvester", "SingularSylvesterError"),
+}
+# Sections of docstrings, and what they are called on the page.
+SECTIONS = {
+    "Args": "Arguments",
+    "Attributes": "Attributes",
+    "Returns": "Returns",
+    "Yields": "Yields",
+    "Raises": "Raises",
+}
+# Signatures that are longer have a line for each parameter.
+WIDTH = 96
+INTRODUCTION = """# API
+
+All that `import sylpose` offers, as its docstrings say it. Arrays are NumPy's, with their shapes in parentheses: C cameras,
+n points, N problems or frames. Rotations and rigid transforms are SciPy's `Rotation` and `RigidTransform`. Symbols, frames
+and units: [conventions](../docs/conventions.md); which function is for what: [choosing](../docs/choosing.md). What is not
+listed here is not promised to stay.
+"""
+
+
+def markdown() -> str:
+    """The page."""
+    parts = [INTRODUCTION]
+    for title, names in GROUPS.items():
+        listed = " · ".join(f"[`{name}`](#{name.lower()})" for name in names)
+        parts += [f"## {title}\n\n{listed}\n", *(_entry(name) for name in names)]
+    return "\n".join(parts)
+
+
+def _entry(name: str) -> str:
+    """One class or function."""
+    thing = getattr(sylpose, name)
+    parts = [f"### {name}\n"]
+    if isinstance(thing, type) and issubclass(thing, enum.Enum):
+        members = [f'- `{member.name}`, "{member.value}": {getattr(member, "text", "")}' for member in thing]
+        return "\n".join([*parts, _prose(_doc(thing), name), "", *members, ""])
+    if not isinstance(thing, type):
+        return "\n".join([*parts, _code(name, thing), "", _prose(_doc(thing), name), ""])
+    if not issubclass(thing, BaseException):
+        parts.append(_code(name, thing) + "\n")
+    bases = [base.__name__ for base in thing.__bases__ if base.__name__ in sylpose.__all__]
+    if bases:
+        parts.append(f"All that {' and '.join(_linked(f'`{base}`', name) for base in bases)} has, and more.\n")
+    parts += [_prose(_doc(thing), name), ""]
+    for member, value in _members(thing):
+        said = _prose(_doc(value), name)
+        if isinstance(value, property):
+            parts.append(f"**`.{member}`**: {said}\n")
+        else:
+            parts.append(f"**`.{member}()`**\n\n{_code(member, value)}\n\n{said}\n")
+    return "\n".join(parts)
+
+
+def _doc(thing: Any) -> str:
+    return inspect.getdoc(thing) or ""
+
+
+def _members(thing: type) -> Iterator[tuple[str, Any]]:
+    """Public properties and methods of its own, in the order in which they are written."""
+    fields = {field.name for field in dataclasses.fields(thing)} if dataclasses.is_dataclass(thing) else set()
+    for member, value in vars(thing).items():
+        if member.startswith("_") or member in fields or not _doc(value):
+            continue
+        value = getattr(value, "__func__", value)
+        if isinstance(value, property) or inspect.isfunction(value) or hasattr(value, "func"):
+            yield member, property(value.func) if hasattr(value, "func") else value
+
+
+def _code(name: str, thing: Any) -> str:
+    """A signature."""
+    signature = inspect.signature(thing)
+    if isinstance(thing, type):
+        signature = signature.replace(return_annotation=inspect.Signature.empty)
+    parameters = [p for p in signature.parameters.values() if p.name not in ("self", "cls") and p.name[0] != "_"]
+    said = [_parameter(p) for p in parameters]
+    stars = [k for k, p in enumerate(parameters) if p.kind is inspect.Parameter.KEYWORD_ONLY]
+    if stars and not any(p.kind is inspect.Parameter.VAR_POSITIONAL for p in parameters):
+        said.insert(stars[0], "*")
+    result = signature.return_annotation
+    end = ")" if result is inspect.Signature.empty else f") -> {result if isinstance(result, str) else result.__name__}"
+    line = f"{name}({', '.join(said)}{end}"
+    if len(line) > WIDTH:
+        line = f"{name}(\n" + "".join(f"    {one},\n" for one in said) + end
+    return f"```python\n{line}\n```"
+
+
+def _parameter(parameter: inspect.Parameter) -> str:
+    """With its type and what it is unless somebody says otherwise."""
+    kinds = {inspect.Parameter.VAR_POSITIONAL: "*", inspect.Parameter.VAR_KEYWORD: "**"}
+    said = kinds.get(parameter.kind, "") + parameter.name
+    if parameter.annotation is not parameter.empty:
+        said += f": {parameter.annotation if isinstance(parameter.annotation, str) else parameter.annotation.__name__}"
+    if parameter.default is parameter.empty:
+        return said
+    value = repr(parameter.default)
+    return f"{said} = {'...' if value.startswith('<') else value}"
+
+
+def _prose(doc: str, own: str) -> str:
+    """A docstring as Markdown: its sections as lists, public names as links."""
+    parts: list[str] = []
+    section: str | None = None
+    for block in _blocks(doc):
+        head, _, rest = block.partition("\n")
+        if head.rstrip(":") in SECTIONS and head.endswith(":"):
+            section = SECTIONS[head.rstrip(":")]
+            parts.append(f"*{section}*\n\n{_items(inspect.cleandoc(rest))}")
+        elif block.startswith("    "):
+            parts.append(f"```text\n{inspect.cleandoc(block)}\n```")
+        else:
+            parts.append(block)
+    return _linked("\n\n".join(parts), own)
+
+
+def _blocks(doc: str) -> Iterator[str]:
+    """Paragraphs, and sections with all that is indented below them."""
+    lines: list[str] = []
+    inside = False
+    for line in [*doc.splitlines(), ""]:
+        if inside and line and not line.startswith(" "):
+            yield "\n".join(lines).rstrip()
+            lines, inside = [], False
+        if not inside and not line:
+            if lines:
+                yield "\n".join(lines)
+            lines = []
+            continue
+        if line.rstrip(":") in SECTIONS and line.endswith(":"):
+            if lines:
+                yield "\n".join(lines)
+            lines, inside = [], True
+        lines.append(line)
+    if lines:
+        yield "\n".join(lines).rstrip()
+
+
+def _items(text: str) -> str:
+    """`name: what it is`, each perhaps over several lines, as a list; what is no such thing, as it stands."""
+    found: list[str] = []
+    for line in text.splitlines():
+        name = re.match(r"((?:\*{0,2}\w+)(?:, \w+)*): (.*)", line)
+        if name:
+            found.append(f"- `{name[1]}`: {name[2]}")
+        elif line.startswith(" ") and found:
+            found.append(f"  {line.strip()}")
+        else:
+            found.append(f"{'  ' if found and found[-1].startswith(('- ', '  ')) else ''}{line.strip()}")
+    return "\n".join(found)
+
+
+def _linked(text: str, own: str) -> str:
+    """Public names in backticks lead to where they are described."""
+
+    def link(match: re.Match[str]) -> str:
+        name = match[1]
+        return f"[`{name}`](#{name.lower()})" if name in sylpose.__all__ and name != own else match[0]
+
+    parts: Sequence[str] = re.split(r"(?s)(```.*?```)", text)
+    return "".join(part if part.startswith("```") else re.sub(r"`(\w+)`", link, part) for part in parts)

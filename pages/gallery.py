@@ -1,0 +1,326 @@
+"""The gallery: a handful of scenes rendered, tracked, compared with their truth, and shown.
+
+    python -m pages.gallery [NAME ...]      about three minutes on two cores
+
+writes docs/images/gallery_NAME.jpg and docs/gallery.md. The same scenes, the same pictures: nothing is random.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import av
+import numpy as np
+from matplotlib.figure import Figure
+from PIL import Image
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose import calibration
+from sylpose.app.run import track_session
+from sylpose.capture import open_session
+from sylpose.numerics.arrays import FloatArray
+from sylpose.report.disagreement import remarks
+from sylpose.report.files import read_tum
+from sylpose.report.plots import INK, JUMP_DEG, X_COLOR, Y_COLOR, Z_COLOR, finish, new_figure
+from sylpose.results import FramePose, FrameStatus, Trajectory
+from sylpose.rig import Rig
+from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, demo_scene, write_recording
+from sylpose.simulate.files import suffixes
+
+__all__ = ["SCENES", "Shown", "page", "results"]
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+# Of widths that are no multiple of 64, what is encoded beside the edge may be anything, and the video another each time.
+SIZE = (384, 288)
+# Width of a picture, pixels, and JPEG's quality (choice: less than 100 kB each).
+WIDTH, QUALITY = 880, 82
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A scene of the gallery.
+
+    Attributes:
+        title, words: what it shows.
+        recording: what is rendered.
+        frame: whose images are shown.
+        command: as a user would track it.
+        calibration: what the calibration file says instead of the truth; None for that.
+        options: of `track_session`.
+    """
+
+    title: str
+    words: str
+    recording: Callable[[], Recording]
+    frame: int
+    command: str = "sylpose track recording"
+    calibration: Callable[[Rig], Rig] | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+def _block() -> Recording:
+    return Recording(demo_scene(frames=45, turn_deg=90.0, size=SIZE), boxes=False)
+
+
+def _around() -> Recording:
+    """A whole turn, so that the side that was seen first is seen again."""
+    return Recording(demo_scene(frames=90, turn_deg=360.0, size=SIZE, seed=3), boxes=False)
+
+
+def _passing() -> Recording:
+    """A tall body goes by between the cameras and the block."""
+    scene = demo_scene(frames=60, turn_deg=60.0, size=SIZE, seed=1)
+    rig = scene.rig
+    before = np.mean([c.center for c in rig], axis=0) * 0.42
+    across = np.cross(before / np.linalg.norm(before), [0.0, 1.0, 0.0])
+    body = chamfered_box([0.26, 0.9, 0.16], 400.0, seed=8)
+
+    def path(frame: float) -> RigidTransform:
+        return RigidTransform.from_translation(before + across * (0.035 * (frame - 30.0)))
+
+    return Recording(replace(scene, actors=(*scene.actors, Actor(body, path))), boxes=False)
+
+
+def _two() -> Recording:
+    """Two blocks that go their own ways."""
+    rig = arc(4, 35.0, 1.5, 1.1 * SIZE[0], SIZE, height=[0.45, -0.15, 0.45, -0.15])
+    bodies = [chamfered_box(sides, 450.0, seed=seed) for sides, seed in (((0.26, 0.2, 0.22), 5), ((0.2, 0.26, 0.2), 6))]
+    sides = (-0.2, 0.2)
+    axes = ([0.2, 0.95, 0.2], [0.7, -0.6, 0.3])
+
+    def path(k: int) -> Callable[[float], RigidTransform]:
+        def at(frame: float) -> RigidTransform:
+            s = frame / 44
+            turn = Rotation.from_rotvec(np.radians(70 * s) * np.array(axes[k]))
+            place = [sides[k], (0.15 - 0.3 * k) * np.sin(np.pi * s), 0.12 * np.sin(3 * s + k)]
+            return RigidTransform.from_components(place, turn)
+
+        return at
+
+    actors = tuple(Actor(body, path(k)) for k, body in enumerate(bodies))
+    return Recording(Scene(rig, actors, 45, 5), objects=("left", "right"))
+
+
+def _alone() -> Recording:
+    return Recording(demo_scene(frames=45, turn_deg=60.0, size=SIZE, n_cameras=1, seed=2), boxes=False)
+
+
+def _blurred() -> Recording:
+    """Exposed for nearly all of the time between two frames, and fast."""
+    return Recording(demo_scene(frames=30, turn_deg=120.0, size=SIZE, seed=4, exposure=0.8), boxes=False)
+
+
+def _kicked(rig: Rig) -> Rig:
+    """One camera has turned by three degrees since it was calibrated."""
+    turned = RigidTransform.from_rotation(Rotation.from_rotvec(np.radians([0.0, 3.0, 0.0])))
+    cameras = [replace(c, camera_from_world=turned * c.camera_from_world) if c.name == "cam_2" else c for c in rig]
+    return Rig(cameras, rig.unit)
+
+
+SCENES = {
+    "block": Shown(
+        "A block",
+        "Four cameras on a quarter of a circle; a block turns by 90° and drifts. Nothing is said of where it is: it is what "
+        "moves.",
+        _block,
+        30,
+    ),
+    "around": Shown(
+        "All the way round",
+        "A whole turn in three seconds. Each side is seen by each camera for a while; where the first one comes into view "
+        "again, it is recognised, and what drift there was ends.",
+        _around,
+        60,
+    ),
+    "passing": Shown(
+        "Somebody passes by",
+        "A post goes by in front of the cameras, and hides the block from one after the other. Those that see it carry on; "
+        "one that sees mostly the post is doubted, and takes part again once it sees the block.",
+        _passing,
+        33,
+    ),
+    "two": Shown(
+        "Two objects",
+        "With a box for each in the first frame (`boxes.toml`), each has a trajectory of its own.",
+        _two,
+        30,
+    ),
+    "blurred": Shown(
+        "Motion blur",
+        "120° in a second, exposed for four fifths of the time between frames.",
+        _blurred,
+        15,
+    ),
+    "alone": Shown(
+        "One camera",
+        "It cannot tell how large the object is nor how far away: every frame says `scale not observable`, and lengths are "
+        "in units of the first distance. How it turns is known nevertheless.",
+        _alone,
+        30,
+    ),
+    "kicked": Shown(
+        "A camera that was kicked",
+        "`cam_2` has been turned by 3° since the calibration. The others outvote it, and it is named.",
+        _block,
+        30,
+        calibration=_kicked,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came out of a scene.
+
+    Attributes:
+        off: by object, (N,) degrees by which the orientation is off; NaN where there is no pose.
+    """
+
+    trajectories: dict[str, Trajectory]
+    off: dict[str, FloatArray]
+    image: Image.Image
+
+
+def tracked(shown: Shown) -> Outcome:
+    """Rendered, tracked, compared."""
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "recording"
+        recording = shown.recording()
+        write_recording(recording, folder)
+        if shown.calibration is not None:
+            calibration.save(shown.calibration(recording.scene.rig), folder / "calibration.toml")
+        session = open_session(folder)
+        run = track_session(session, **shown.options)
+        off = {}
+        for name, suffix in zip(recording.objects, suffixes(recording.objects), strict=True):
+            _, truth = read_tum(folder / f"groundtruth{suffix}.tum")
+            off[name] = np.array([_off(pose, truth) for pose in run.trajectories[name]])
+        with av.open(str(folder / "sylpose" / "overlay.mp4")) as video:
+            frames = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
+        return Outcome(dict(run.trajectories), off, Image.fromarray(frames[shown.frame]))
+
+
+def _off(pose: FramePose, truth: RigidTransform) -> float:
+    """Degrees, of the orientation since the first frame."""
+    if pose.world_from_object is None:
+        return np.nan
+    return float(np.degrees((pose.world_from_object.rotation * truth[pose.index].rotation.inv()).magnitude()))
+
+
+def drawn(outcome: Outcome) -> Figure:
+    """Angles over time, and how far they are off beside how far off they may be."""
+    figure = new_figure(4.4, 4.9)
+    angles, errors = figure.subplots(2, 1, sharex=True)
+    top = 0.0
+    for trajectory, off, style in zip(outcome.trajectories.values(), outcome.off.values(), ("-", "--"), strict=False):
+        turns = np.degrees([f.pan_tilt_roll for f in trajectory])
+        # Not drawn where an angle goes round.
+        turns[1:][np.abs(np.diff(turns, axis=0)) > JUMP_DEG] = np.nan
+        found = trajectory.solved
+        for k, (name, color) in enumerate((("pan", Y_COLOR), ("tilt", X_COLOR), ("roll", Z_COLOR))):
+            angles.plot(trajectory.times, np.where(found, turns[:, k], np.nan), style, color=color, label=name)
+            angles.plot(
+                trajectory.times, np.where(found, np.nan, turns[:, k]), ".", color=color, alpha=0.4, markersize=3
+            )
+        errors.plot(trajectory.times, off, style, color=INK, linewidth=1.2, label="off the truth")
+        spread = 2 * np.degrees([np.sqrt(np.trace(f.covariance[:3, :3])) for f in trajectory])
+        some = np.isfinite(spread) & np.isfinite(off)
+        top = max(top, 1.3 * float(np.nanmax(off)), 1.2 * float(np.median(spread[some])))
+        errors.fill_between(
+            trajectory.times, 0, np.where(some, spread, np.nan), color=Z_COLOR, alpha=0.2, linewidth=0, label="2 σ"
+        )
+    for panel, label in ((angles, "angles (degrees)"), (errors, "error (degrees)")):
+        finish(panel)
+        panel.set_ylabel(label)
+        handles, labels = panel.get_legend_handles_labels()
+        once = dict(zip(labels, handles, strict=True))
+        panel.legend(
+            once.values(), once.keys(), frameon=False, fontsize=8, ncols=3, loc="lower left", bbox_to_anchor=(0, 1)
+        )
+    errors.set_ylim(0, top)
+    errors.set_xlabel("time (s)")
+    return figure
+
+
+def picture(outcome: Outcome) -> Image.Image:
+    """The images of a frame beside the plots."""
+    file = io.BytesIO()
+    drawn(outcome).savefig(file, format="png")
+    plots = Image.open(file).convert("RGB")
+    seen = outcome.image
+    height = round(WIDTH * 0.62 * seen.height / seen.width)
+    seen = seen.resize((round(WIDTH * 0.62), height), Image.Resampling.LANCZOS)
+    side = WIDTH - seen.width
+    plots = plots.resize((side, round(plots.height * side / plots.width)), Image.Resampling.LANCZOS)
+    whole = Image.new("RGB", (WIDTH, max(seen.height, plots.height)), "white")
+    whole.paste(seen, (0, (whole.height - seen.height) // 2))
+    whole.paste(plots, (seen.width, (whole.height - plots.height) // 2))
+    return whole
+
+
+def words_of(outcome: Outcome) -> str:
+    """What came out, in a sentence for each object."""
+    said = []
+    for (name, trajectory), off in zip(outcome.trajectories.items(), outcome.off.values(), strict=True):
+        of = f"`{name}`: " if len(outcome.trajectories) > 1 else ""
+        found = trajectory.solved
+        line = f"{of}{int(found.sum())} of {len(trajectory)} frames with a pose, off by {np.nanmedian(off[found]):.2f}° in "
+        line += f"the median and {np.nanmax(off[found]):.2f}° at worst."
+        others = [f.status for f in trajectory if not f.measured]
+        if others:
+            counted = [f"{status.value} {others.count(status)}" for status in FrameStatus if status in others]
+            line += f" The others: {', '.join(counted)}."
+        said.append(" ".join([line, *(f'What is said of it: "{remark}"' for remark in remarks(trajectory)[:1])]))
+    return " ".join(said)
+
+
+def page(outcomes: dict[str, str]) -> str:
+    """The page, with what came out of each scene."""
+    parts = [
+        "# Gallery",
+        "Scenes that are rendered, so that their truth is known, and tracked as any recording is. Left the images of one "
+        "frame as `overlay.mp4` has them; right the angles over time, and how far the orientation is off the truth beside "
+        "two standard deviations of what is said of it. These allow for what calibrations are usually off by, and here they "
+        "are exact. `make gallery` makes this page; what real recordings give is in "
+        "[benchmarks](benchmarks.md#the-main-job).",
+    ]
+    for name, shown in SCENES.items():
+        parts += [
+            f"## {shown.title}",
+            shown.words,
+            f"![{shown.title}: the images of a frame, angles and errors over time](images/gallery_{name}.jpg)",
+            outcomes[name],
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+def results() -> dict[str, str]:
+    """As the page has them."""
+    path = DOCS / "gallery.md"
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    found = {}
+    for name, shown in SCENES.items():
+        section = text.partition(f"\n## {shown.title}\n")[2].partition("\n## ")[0].strip()
+        found[name] = section.rpartition("\n\n")[2]
+    return found
+
+
+def main(names: Sequence[str]) -> None:
+    outcomes = results()
+    for name, shown in SCENES.items():
+        if not names or name in names:
+            outcome = tracked(shown)
+            picture(outcome).save(DOCS / "images" / f"gallery_{name}.jpg", quality=QUALITY, optimize=True)
+            outcomes[name] = words_of(outcome)
+            print(f"{name}: {outcomes[name]}", flush=True)
+    (DOCS / "gallery.md").write_text(page(outcomes), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
