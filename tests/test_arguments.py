@@ -55,6 +55,7 @@ ELSEWHERE = {
     "Session.told_in": "the same",
     "load_world": "reads a file: calibration/test_world.py",
     "LiveSession.frames": "the same",
+    "Trajectory.to_dataframe": "takes nothing, and needs pandas: exports/test_exports.py",
     "LiveSession.of": "the same",
     "LiveSession.with_rig": "the same",
     "LiveSession.told_in": "the same",
@@ -301,6 +302,7 @@ def calls() -> dict[str, Call]:
             said="image must be",
         ),
         "Trajectory": Call(sylpose.Trajectory, {"frames": [pose, pose], "camera_names": ["a", "b"], "unit": "m"}),
+        "Trajectory.columns": Call(path.columns, {}, nan=True),
         "FramePose.judged": Call(pose.judged, {}),
         "FramePose.of_frame": Call(pose.of_frame, {"new_from_object": RigidTransform.identity()}),
         "KnownObject.in_frame": Call(

@@ -28,6 +28,7 @@ NOUNS = {
     "view",
     "methods",
     "units",
+    "comparison",
 }
 PARTS = {"paper", "known_model", "features"}
 FILES = {"files"}  # for whoever writes any
@@ -47,6 +48,7 @@ ALLOWED: dict[str, set[str]] = {
     "files": set(),
     "calibration": NOUNS | FILES,
     "report": NOUNS | FILES,
+    "exports": NOUNS | FILES | {"report"},
     "simulate": NOUNS | FILES | {"calibration"},
     "capture": NOUNS | {"calibration"},
     "sync": NOUNS | {"capture"},
@@ -133,6 +135,7 @@ def test_no_estimator_reads_writes_or_simulates() -> None:
             "capture",
             "calibration",
             "report",
+            "exports",
             "sync",
             "simulate",
             "experiments",

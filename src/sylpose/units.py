@@ -6,13 +6,17 @@ import re
 
 from sylpose.reading import one_line
 
-__all__ = ["FIRST_DISTANCES", "METRES", "length_of", "measured"]
+__all__ = ["FIRST_DISTANCES", "METRES", "NoUnit", "length_of", "measured"]
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 # With one camera lengths are relative to the object's distance in the first frame (docs/conventions.md).
 FIRST_DISTANCES = "first distances"
 # No length that is typed is smaller or larger (choice).
 LEAST, LARGEST = 1e-9, 1e9
+
+
+class NoUnit(ValueError):
+    """A length with a unit, of a calibration without one."""
 
 
 def measured(text: str, name: str) -> tuple[float, str]:
@@ -37,13 +41,14 @@ def length_of(text: str, name: str, unit: str) -> float:
     """A length as it is typed, in `unit`, which it is in if it does not say its own.
 
     Raises:
-        ValueError: as `measured`; one that cannot be told in `unit`.
+        NoUnit: `unit` is none of these, so that it cannot be told in that.
+        ValueError: as `measured`.
     """
     value, its = measured(text, name)
     if not its:
         return value
     if unit not in METRES:
-        raise ValueError(
+        raise NoUnit(
             f"{name} is in {its}, but the calibration does not say its own unit: give it in that, without a name"
         )
     return value * METRES[its] / METRES[unit]

@@ -86,8 +86,8 @@ def test_boxes_are_drawn(
     truth = load_boxes(session / "boxes.toml", calibration.load(session / "calibration.toml"))["object"]
     (session / "boxes.toml").unlink()
     first, second = truth["cam_0"], truth["cam_1"]
-    with box_command(monkeypatch, session) as run, opened(browser, run.url, online=True, viewport=VIEWPORT) as shown:
-        page = shown.page
+    with box_command(monkeypatch, session) as run, opened(browser, run.url, online=True) as shown:
+        page: Any = shown.page
         tile = {name: page.locator(f".tile[data-camera={name}]") for name in ("cam_0", "cam_1", "cam_2")}
         tile["cam_0"].locator("svg").wait_for()
         assert page.locator("polygon").count() == 0
@@ -144,9 +144,9 @@ def test_several_objects_and_what_is_there_already(
     out = session / "of two.toml"
     with (
         box_command(monkeypatch, session, "--out", out, "--start", 3) as run,
-        opened(browser, run.url, online=True, viewport=VIEWPORT, color_scheme="dark") as shown,
+        opened(browser, run.url, online=True, color_scheme="dark") as shown,
     ):
-        page = shown.page
+        page: Any = shown.page
         page.locator(".own .box").nth(2).wait_for()
         assert "frame 3" in page.locator("#recording").text_content()
         page.locator(".object input").fill("mug")
@@ -180,6 +180,22 @@ def test_several_objects_and_what_is_there_already(
     assert run.codes == [0]
     assert load_boxes(out, rig) == {"mug": before, "object_2": {"cam_0": Box(10, 200, 40, 30)}}
     assert load_boxes(session / "boxes.toml", rig)["object"] == before
+
+
+def test_names_are_text(browser: Any, session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = "<img src=x>"
+    for file in ("calibration.toml", "boxes.toml"):
+        text = (session / file).read_text()
+        (session / file).write_text(re.sub(r'"?\bcam_2\b"?', f'"{name}"', text))
+    (session / "cam_2.mp4").rename(session / f"{name}.mp4")
+    with box_command(monkeypatch, session) as run, opened(browser, run.url, online=True) as shown:
+        tile = shown.page.locator(".tile").nth(2)
+        tile.locator(".own .box").wait_for()
+        assert tile.locator(".name").inner_text() == name
+        assert shown.page.locator("img").count() == 0
+        assert shown.errors == []
+        assert ask(f"{run.url}boxes", {"object": {name: [1, 2, 30, 40]}})[0] == 200
+    assert (session / "boxes.toml").read_text().splitlines()[1:] == [f'"{name}" = [1, 2, 30, 40]']
 
 
 def test_what_is_sent_is_looked_at_as_files_are(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -256,6 +272,8 @@ def test_what_cannot_be_drawn_into(session: Path, capsys: pytest.CaptureFixture[
     assert "start must be in 0 ... 11" in sentence("--start", 12, "--no-browser")
     (session / "boxes.toml").write_text("cam_0 = 3")
     assert "boxes.toml: cam_0 = [x, y, width, height] is expected" in sentence("--no-browser")
+    (session / "live.toml").write_text("[sources]\ncam_0 = 0\n")
+    assert "of live cameras; boxes are drawn into recordings" in sentence("--no-browser")
 
 
 def test_track_says_how_boxes_come_about(session: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import http.client
-import re
 import sys
 import threading
 import time
@@ -26,15 +25,16 @@ from sylpose.app.scene_page import MOST_PIECES, SEEN, pieces_of, plain, status_c
 from sylpose.app.show import read_scenes
 from sylpose.app.viewer_server import MISSING, viewer_server
 from sylpose.capture import open_session
-from sylpose.capture.stills import Stills
+from sylpose.capture.single import SingleFrames
 from sylpose.cli import main
 from sylpose.results import FrameStatus
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
-from tests.browser import opened
+from tests.browser import Opened, opened
 from tests.conftest import FRAMES
 
 TRACKED = 6
+SMALL = {"width": 480, "height": 300}
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +50,11 @@ def server() -> Iterator[tuple[Any, str]]:
     pytest.importorskip("viser", reason="the extra `viewer`")
     with viewer_server() as started:
         yield started
+
+
+def wrong_in(shown: Opened) -> list[str]:
+    """What a page's console said that is wrong: not that there is no graphics card, nor what viser uses of three.js."""
+    return [line for line in shown.errors if not line.startswith(("THREE.Clock", "[.WebGL"))]
 
 
 def until(what: Callable[[], object]) -> None:
@@ -134,7 +139,7 @@ def test_without_viser_it_is_said_what_to_install(
 def test_the_recording_is_found_again(result: Path, recording: Path) -> None:
     session = recording_of(result)
     frames = list(open_session(recording).frames(0, 3))
-    with Stills(session) as stills:
+    with SingleFrames(session) as stills:
         for image, wanted in zip(stills.at(2), frames[2].images, strict=True):
             np.testing.assert_array_equal(image, wanted)
 
@@ -162,17 +167,17 @@ def test_another_recording_is_refused(session: Path, tmp_path: Path) -> None:
     (session / "timestamps.csv").write_text(
         "frame,cam_0,cam_1,cam_2\n" + "".join(f"{k},{k / 20},{k / 20},{k / 20}\n" for k in range(FRAMES))
     )
-    with pytest.raises(ValueError, match="other time stamps or offsets than when it was tracked"):
+    with pytest.raises(ValueError, match="the recording's time stamps or offsets are not those of the run"):
         recording_of(tmp_path / "out")
     (session / "timestamps.csv").unlink()
     with (session / "cam_0.mp4").open("ab") as file:
         file.write(b"\0" * 8)
-    with pytest.raises(ValueError, match="other images than when it was tracked"):
+    with pytest.raises(ValueError, match="the recording's images are not those of the run"):
         recording_of(tmp_path / "out")
     # Whose name would be asked for in the network, with the user's credentials.
     for elsewhere in (r"\\evil.example\share", "//evil.example/share"):
-        line = f"recording = '{elsewhere}'".replace("\\", r"\\")
-        settings.write_text(re.sub("(?m)^recording = .*$", line, text))
+        where = next(line for line in text.splitlines() if line.startswith("recording = "))
+        settings.write_text(text.replace(where, f"recording = '{elsewhere}'"))
         with pytest.raises(ValueError, match="on another computer"):
             recording_of(tmp_path / "out")
     settings.write_text(text.partition("[cameras]")[0])
@@ -232,13 +237,15 @@ def test_words_of_files_are_no_markdown() -> None:
 def test_the_slider_moves_the_object(browser: Any, server: tuple[Any, str], result: Path) -> None:
     viser, url = server
     scenes = read_scenes(result)
+    # A name that would be more than a name, if it were no text.
     (scene,) = scenes.values()
+    scenes = {"": replace(scene, cameras=("<img src=x>", *scene.cameras[1:]))}
     rig = calibration.load(result / "calibration.used.toml")
-    with Stills(recording_of(result)) as stills, Player(viser, scenes, rig, stills, "a <b>title</b>") as player:
+    with SingleFrames(recording_of(result)) as stills, Player(viser, scenes, rig, stills, "a <b>title</b>") as player:
         nodes = player.page._objects[""]
         before = np.array(nodes.axes.position)
         until(lambda: all(image.visible for image in player.page._images))
-        with opened(browser, url, online=True, viewport={"width": 480, "height": 300}) as shown:
+        with opened(browser, url, online=True, viewport=SMALL) as shown:
             shown.page.get_by_role("slider").first.wait_for(timeout=60_000)
             until(lambda: viser.get_clients())
             assert "a <b>title</b>" in shown.page.locator("body").inner_text()
@@ -262,8 +269,9 @@ def test_the_slider_moves_the_object(browser: Any, server: tuple[Any, str], resu
             depth = player.page._images[1].scale
             assert depth > 1.0 > player.page._images[0].scale
             assert [lines.visible for lines in player.page._lines] == [True, False, True]
-            assert shown.errors == []
-            assert all(address.startswith((url, "data:", "blob:")) for address in shown.requests)
+            assert shown.page.locator("img[src=x]").count() == 0
+            assert wrong_in(shown) == []
+            assert all(address.startswith((url, "blob:")) for address in shown.requests)
 
 
 def test_it_plays_to_the_end(server: tuple[Any, str], result: Path) -> None:
@@ -344,11 +352,11 @@ def test_a_page_that_plays_by_itself(
     assert main(["show", str(result), "--save", str(page)]) == 0
     assert str(page) in capsys.readouterr().out
     assert page.stat().st_size < 8e6
-    with opened(browser, page.as_uri(), viewport={"width": 480, "height": 300}) as shown:
+    with opened(browser, page.as_uri(), viewport=SMALL) as shown:
         shown.page.locator("canvas").first.wait_for(timeout=60_000)
         shown.page.wait_for_timeout(1000)
-        assert shown.errors == []
-        assert all(address.startswith(("file:", "data:", "blob:")) for address in shown.requests)
+        assert wrong_in(shown) == []
+        assert all(address.startswith(("file:", "blob:")) for address in shown.requests)
 
 
 def test_what_cannot_be_shown(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

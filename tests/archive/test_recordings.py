@@ -83,6 +83,25 @@ def test_digests_depend_on_what_is_tracked(tmp_path: Path) -> None:
     assert {name for name in before if before[name].digest != after[name].digest} == {"a", "video"}
 
 
+def test_digests_depend_on_a_worlds_file(tmp_path: Path) -> None:
+    lab, world = archive(tmp_path / "lab", *LAB, "floor.toml"), tmp_path / "lab" / "floor.toml"
+    (tmp_path / "lab" / "list.csv").write_text("path,world\nday1/a,floor.toml\nday1/b,up=-y\n")
+    digests = []
+    for content in ("up", "down"):
+        world.write_text(content)
+        given = find_recordings([str(lab / "day1")], Options(world=str(world))).recordings
+        listed = by_name(lab / "list.csv")
+        assert [r.options.world for r in given] == [str(world)] * 2
+        assert [r.options.world for r in listed.values()] == [str(world), "up=-y"]
+        digests.append([r.digest for r in (*given, *listed.values())])
+    changed = [a != b for a, b in zip(*digests, strict=True)]
+    assert changed == [True, True, True, False]
+    words = find_recordings([str(lab / "day1")], Options(world="up=-y")).recordings
+    assert words[0].digest != by_name(lab / "day1")["a"].digest
+    with pytest.raises(FileNotFoundError, match=r"nothing\.toml: no such file \(world\)"):
+        find_recordings([str(lab / "day1")], Options(world="nothing.toml"))
+
+
 def test_results_within_an_archive_are_not_looked_through(tmp_path: Path) -> None:
     lab = archive(tmp_path / "lab", *LAB, "results/day1/a/calibration.refined.toml", "results/day1/a/cam.mp4")
     assert set(by_name(lab, out=place(lab / "results"))) == {"day1/a", "day1/b"}

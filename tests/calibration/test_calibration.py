@@ -659,6 +659,13 @@ def test_the_known_formats_are_said_whole(tmp_path: Path) -> None:
         calibration.load(write(tmp_path / "a.txt", "hello there"))
 
 
+def test_folders_with_several(tmp_path: Path) -> None:
+    for name in ("calib_a.toml", "calib_b.toml"):
+        calibration.save(random_rig(), tmp_path / name)
+    with pytest.raises(ValueError, match=r"calib_a\.toml, calib_b\.toml; say which one to use"):
+        calibration.load(tmp_path)
+
+
 def test_folders_without_a_calibration(tmp_path: Path) -> None:
     write(tmp_path / "notes.txt", "")
     with pytest.raises(ValueError, match="no calibration of a known format in this folder; known are sylpose"):

@@ -21,6 +21,7 @@ def deep(name: str, n: int) -> str:
         "a.toml": "a = " + "[" * n + "]" * n,
         "a.yml": "a: " + "[" * n + "]" * n,
         "lines.yml": "a:\n " + "- " * n + "1",
+        "take.xcp": "<Cameras>" + "<a>" * n + "</a>" * n + "</Cameras>",
         "a.xml": "<opencv_storage>" + "<a>" * n + "</a>" * n + "</opencv_storage>",
     }[name]
 
@@ -40,7 +41,7 @@ def said(path: Path, text: str) -> str:
 
 
 @pytest.mark.parametrize("depth", [900, 100_000])
-@pytest.mark.parametrize("name", ["a.json", "comment.json", "a.toml", "a.yml", "lines.yml", "a.xml"])
+@pytest.mark.parametrize("name", ["a.json", "comment.json", "a.toml", "a.yml", "lines.yml", "a.xml", "take.xcp"])
 def test_nested_deep(name: str, depth: int, tmp_path: Path) -> None:
     sentence = said(tmp_path / name, deep(name, depth))
     assert any(word in sentence for word in ("deep", "not a calibration", "that TOML may have"))
@@ -51,6 +52,7 @@ def test_nested_deep(name: str, depth: int, tmp_path: Path) -> None:
     [
         ("a.yml", "cam_0: &x\n  K: 1\ncam_1: *x\n", "aliases"),
         ("a.xml", '<!DOCTYPE a [<!ENTITY b "c">]><opencv_storage><a>&b;</a></opencv_storage>', "DOCTYPE"),
+        ("take.xcp", '<!DOCTYPE a [<!ENTITY b "c">]><Cameras><Camera DEVICEID="&b;"/></Cameras>', "DOCTYPE"),
         ("a.toml", "a." * 20_000 + "a = 1", "dots"),
         ("a.toml", "a = " + "9" * 400, "308 digits"),
         ("a.yml", "cam_0:\n  K: { rows: .Inf, cols: 3, data: [1] }\n  D: [0]\n  size: [6, 4]\n", "rows, cols"),

@@ -154,6 +154,13 @@ def test_what_cannot_be_used(missing: set[str], added: dict[str, Any], message: 
         calibration.load(write(tmp_path / "stereo.json", json.dumps(data)))
 
 
+def test_cameras_beside_a_pose_are_no_stereo(tmp_path: Path) -> None:
+    """Nodes of cameras, and R and T of something else."""
+    node = {"K": dictionary()["K1"], "D": dictionary()["D1"], "size": SIZE, "R": [0, 0, 0], "T": [0, 0, 1]}
+    data = {"left": node, "right": node, "R": [0.1, 0, 0], "T": [1, 2, 3]}
+    assert calibration.format_of(write(tmp_path / "a.json", json.dumps(data))) == "OpenCV FileStorage"
+
+
 def test_fisheye(tmp_path: Path) -> None:
     data = dictionary() | {"D1": [0.1, 0.01, 0, 0], "D2": [0.1, 0, 0, 0.02], "fisheye": True}
     rig = calibration.load(write(tmp_path / "a.json", json.dumps(data)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import threading
 import warnings
 import weakref
@@ -18,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose import calibration
 from sylpose.capture import Session, open_session
-from sylpose.capture.names import image_files, image_numbers, match_names
+from sylpose.capture.names import image_files, image_numbers, match_names, several_of
 from sylpose.capture.sources import Source
 from sylpose.capture.timeline import build_timeline, load_timestamps
 from sylpose.frames import Box, FrameSet
@@ -712,6 +713,25 @@ def test_names_that_share_words_are_matched_by_those_in_which_they_differ(files:
     assert match_names([*files, f"{files[0]}x"], cameras) == {}
     assert match_names(files, [*cameras, "x_y"]) == {}
     assert match_names(["run a", "run b"], ["top", "side"]) == {}
+
+
+def test_several_recordings_in_one_folder_are_told_as_such(folder: Path) -> None:
+    two_videos(folder)
+    text = (folder / "calibration.toml").read_text()
+    (folder / "calibration.toml").write_text(text.replace("cam_0", "A").replace("cam_1", "B"))
+    for k, letter in enumerate("AB"):
+        video = folder / f"cam_{k}.mp4"
+        for take in (1, 2):
+            shutil.copy(video, folder / f"vid{take}-cam{letter}.mp4")
+        video.unlink()
+    with pytest.raises(
+        ValueError, match=r"several recordings in one folder \(vid1-camA.mp4, vid2-camA.mp4 are all of camera A\)"
+    ):
+        open_session(folder)
+    session = open_session(folder, cameras={"A": "vid2-camA.mp4", "B": "vid2-camB.mp4"})
+    assert [source.path.name for source in session.sources] == ["vid2-camA.mp4", "vid2-camB.mp4"]
+    assert several_of(["a1", "b1"], ["a", "b"]) == []
+    assert several_of(["x_a", "y_a", "x_b"], ["a", "b"]) == []
 
 
 def test_cameras_are_named_where_names_do_not_tell(folder: Path) -> None:

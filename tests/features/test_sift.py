@@ -317,7 +317,10 @@ def test_the_room_is_seen_before_and_the_block_is_not(images: list[Image], camer
     before = seen_before(second, first)
     pairs = match_features(first, second)
     moved = np.linalg.norm(first.pixels[pairs[:, 0]] - second.pixels[pairs[:, 1]], axis=1)
-    assert not before[pairs[moved > 4, 1]].any()
+    of_block = pairs[moved > 4, 1]
+    assert len(of_block) > 100
+    # Where it goes, something of the room may look like it: none with OpenCV 5, one of 236 with OpenCV 4.
+    assert before[of_block].mean() < 0.01
     assert before[block > 150].mean() > 0.6
 
 

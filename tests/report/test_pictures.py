@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -57,5 +56,6 @@ def test_smaller_images_and_files() -> None:
     assert smaller(image, 200) is image
     assert smaller(image, 50).shape == (30, 50, 3)
     assert smaller(image[..., 0], 20).shape == (12, 20)
-    read: Any = cv2.imdecode(np.frombuffer(jpeg(image), np.uint8), cv2.IMREAD_COLOR)
+    read = cv2.imdecode(np.frombuffer(jpeg(image), np.uint8), cv2.IMREAD_COLOR)
+    assert read is not None
     assert np.abs(read.astype(int) - image).mean() < 2

@@ -521,8 +521,9 @@ def test_a_noisy_camera_is_not_green(tmp_path: Path) -> None:
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
         alike = writer.draw(blank(rig), replace(CENTERED, residuals=np.array([0.3, 0.3, 0.3])), [None] * 3, 0.3)
         noisy = writer.draw(blank(rig), replace(CENTERED, residuals=np.array([0.3, 3.0, 0.3])), [None] * 3, 0.3)
-    assert n_painted(noisy, overlay.WARN) > n_painted(alike, overlay.WARN) + 8
-    assert n_painted(noisy, overlay.GOOD) < n_painted(alike, overlay.GOOD) - 8
+    # Letters are smoothed, by OpenCV 4 so much that hardly a pixel has their own colour.
+    assert n_painted(noisy, overlay.WARN, 20) > n_painted(alike, overlay.WARN, 20) + 30
+    assert n_painted(noisy, overlay.GOOD, 20) < n_painted(alike, overlay.GOOD, 20) - 30
 
 
 def test_features_and_rejected_matches_are_drawn_without_a_pose_too(tmp_path: Path) -> None:

@@ -87,5 +87,5 @@ def test_a_dataframe_where_there_is_pandas() -> None:
 
 def test_without_pandas_it_is_said_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ModuleNotFoundError, match="needs pandas: python3 -m pip install pandas"):
+    with pytest.raises(ModuleNotFoundError, match=r"needs pandas: python3 -m pip install 'sylpose\[export\]'"):
         trajectory().to_dataframe()

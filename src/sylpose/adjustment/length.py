@@ -72,7 +72,7 @@ def _told_of_length(problem: Problem, state: State, scaled: FloatArray, tied: Bo
 
 
 def _told_of_distance(problem: Problem, state: State, scaled: FloatArray) -> float:
-    """Information about the surfaces' relative distance, meaned over the landmarks, when nothing is believed of it."""
+    """Information about the surfaces' relative distance, averaged over the landmarks, when nothing is believed of it."""
     held, seen, which = problem.with_depths_held(), problem.sightings, problem.shared.depths
     told = held.system(state, held.views(state), scaled).solver().told
     cross = told[np.ix_(which, ~which)]

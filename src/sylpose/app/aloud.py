@@ -106,6 +106,8 @@ def _track_aloud(
     if wrong := obstacles(places):
         raise ValueError(f"{'; '.join(wrong)} ({boxes_by(session)} anew)")
     console.print(text.headline(session))
+    if session.world is not None:
+        console.print(f"World: {session.world.said or 'of a file'}.", highlight=False)
     start, stop, every = options.get("start", 0), options.get("stop"), options.get("every", 1)
     text.print_warnings(warned, concerns(session, start))
     if offsets := {name: seconds for name, seconds in (options.get("offsets") or {}).items() if seconds}:

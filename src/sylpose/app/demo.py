@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.app import text
 from sylpose.app.aloud import track_aloud, why_nothing
 from sylpose.capture import open_session
+from sylpose.comparison import pairs_in_time
 from sylpose.files import output_folder, replacing, writing
 from sylpose.numerics.arrays import FloatArray
 from sylpose.report.files import read_tum
@@ -109,11 +110,10 @@ def score(
     times, true_times = np.asarray(times, dtype=float), np.asarray(true_times, dtype=float)
     if len(true_times) < 2 or not len(times):
         raise ValueError(f"to score takes two true poses and an estimate, got {len(true_times)} and {len(times)}")
-    gaps = np.abs(times[None, :] - true_times[:, None])
-    paired = np.flatnonzero(gaps.min(axis=1) <= 0.5 * np.diff(true_times).min())
-    if len(paired) < 2:
-        raise ValueError(f"only {len(paired)} of {len(true_times)} true poses have an estimate at their time")
-    estimate, truth = world_from_object[gaps.argmin(axis=1)[paired]], true_world_from_object[paired]
+    ours, theirs = pairs_in_time(times, true_times)
+    if len(ours) < 2:
+        raise ValueError(f"only {len(ours)} of {len(true_times)} true poses have an estimate at their time")
+    estimate, truth = world_from_object[ours], true_world_from_object[theirs]
     motion, true_motion = estimate * estimate[0].inv(), truth * truth[0].inv()
     start = (truth[0] * true_world_from_object[0].inv()).apply(center)
     rotation = np.degrees((true_motion.rotation.inv() * motion.rotation).magnitude())

@@ -210,9 +210,12 @@ def _look_at_folders(found: Diagnosis) -> None:
 
 def _look_at_kernels(found: Diagnosis) -> None:
     """Where compiled code is, and whether it runs."""
-    from sylpose.app.compiling import is_compiled, kept_in
-    from sylpose.numerics.kernel_cache import announced
-
+    try:
+        from sylpose.app.compiling import is_compiled, kept_in
+        from sylpose.numerics.kernel_cache import announced
+    except Exception as error:
+        found.problems.append(f"sylpose itself cannot be loaded ({type(error).__name__}: {error})")
+        return
     announced()  # the line below says it
     folder, done = kept_in(), is_compiled()
     where = "nowhere: no folder can be written" if folder is None else f"in {place_of(folder)}"

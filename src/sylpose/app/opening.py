@@ -11,8 +11,9 @@ from typing import TypeVar
 from sylpose.app.world import WorldAsked, world_of_session
 from sylpose.capture import Session, live, open_session
 from sylpose.capture.session import SessionBase
+from sylpose.units import METRES
 
-__all__ = ["camera_files", "check_out", "open_asked", "open_recorded"]
+__all__ = ["camera_files", "check_out", "open_asked", "open_recorded", "told"]
 
 Opened = TypeVar("Opened", bound=SessionBase)
 
@@ -44,7 +45,7 @@ def open_recorded(
         cameras=cameras,
         rate=rate,
     )
-    return _told(opened, world, unit)
+    return told(opened, world, unit)
 
 
 def open_asked(
@@ -84,14 +85,23 @@ def open_asked(
     opened = live.open_live(
         path, calibration=calibration, boxes=boxes, masks=masks, follow=follow, lossless=lossless, rate=rate
     )
-    return _told(opened, world, unit)
+    return told(opened, world, unit)
 
 
-def _told(opened: Opened, world: WorldAsked | None, unit: str | None) -> Opened:
-    """The session in another world, then in another unit: lengths that `world` has are the calibration's."""
+def told(opened: Opened, world: WorldAsked | None, unit: str | None) -> Opened:
+    """The session in another world, then in another unit: lengths that `world` has are the calibration's.
+
+    Raises:
+        ValueError, OSError: as `world_of_session` and `Rig.in_unit`.
+    """
     if world is not None:
         found, notes = world_of_session(opened, world)
         opened = replace(opened.told_in(found), warnings=(*opened.warnings, *notes))
+    if unit in METRES and not opened.rig.unit:
+        raise ValueError(
+            f"--unit {unit}: {opened.calibration} does not say its own unit; sylpose calibration convert IN OUT --is-in m "
+            "writes one that does"
+        )
     return opened if unit is None else opened.with_rig(opened.rig.in_unit(unit))
 
 

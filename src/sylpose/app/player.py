@@ -13,7 +13,7 @@ import numpy as np
 from sylpose.app.scene_page import DEVIATIONS, LAYERS, NOTHING, ScenePage, plain, status_color
 from sylpose.app.text import length
 from sylpose.app.viewer_server import THEME, viewer_server
-from sylpose.capture.stills import Stills
+from sylpose.capture.single import SingleFrames
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.report.scene import Scene
 from sylpose.results import FrameStatus
@@ -25,7 +25,7 @@ __all__ = ["Player", "add_layers", "add_views", "said_of", "saved_page"]
 RATE, UPDATES = 10.0, 25.0
 SPEEDS = {"1/8": 0.125, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
 ALL = "all of it"
-# Of a file: frames in all, and of these so many with images (choice: about 3 MB).
+# Of a file: frames in all, and of these so many with images (choice: about 6 MB with four cameras).
 MOST_FRAMES, MOST_IMAGES = 1500, 60
 
 
@@ -40,7 +40,9 @@ class Player:
         title: what it is a result of.
     """
 
-    def __init__(self, server: Any, scenes: Mapping[str, Scene], rig: Rig, stills: Stills | None, title: str) -> None:
+    def __init__(
+        self, server: Any, scenes: Mapping[str, Scene], rig: Rig, stills: SingleFrames | None, title: str
+    ) -> None:
         self._scenes, self._stills, self._gui = dict(scenes), stills, server.gui
         self.page = staged(server, scenes, rig)
         self.index, seconds = frames_of(scenes)
@@ -230,7 +232,7 @@ def add_layers(server: Any, page: ScenePage, changed: Callable[[], None]) -> Non
         dark.on_update(darken)
 
 
-def saved_page(scenes: Mapping[str, Scene], rig: Rig, stills: Stills | None) -> str:
+def saved_page(scenes: Mapping[str, Scene], rig: Rig, stills: SingleFrames | None) -> str:
     """An HTML page that plays the scene by itself, without any server: at most `MOST_FRAMES` frames, `MOST_IMAGES` of them
     with images."""
     index, times = frames_of(scenes)

@@ -41,14 +41,14 @@ def write_record(
     output_folder(folder)
     begun = datetime.now(UTC).isoformat(timespec="seconds")
     asked = {name: value for name, value in options.items() if value is not None}
-    if session.world is not None:
-        asked["world"] = session.world.said
+    of_session = {"rate": session.rate, "unit": session.rig.unit or None, "world": session.world and session.world.said}
+    asked |= {name: value for name, value in of_session.items() if value is not None}
     text = f"{_HEAD}begun = {begun}\nrecording = {toml_string(str(session.path.resolve()))}\n"
     text += f"calibration = {toml_string(str(session.calibration.resolve()))}\n"
-    if noticed:
-        text += f"noticed = [{', '.join(map(toml_string, noticed))}]\n"
     if isinstance(session, Session) and session.rate is not None:
         text += f"rate = {session.rate!r}\n"
+    if noticed:
+        text += f"noticed = [{', '.join(map(toml_string, noticed))}]\n"
     text += _table("options", {name: value for name, value in asked.items() if not isinstance(value, Mapping)})
     for name, value in asked.items():
         if isinstance(value, Mapping):

@@ -60,7 +60,7 @@ def recording_of(result: Path, moved: Path | None = None) -> Session:
     now = fingerprint(session)
     for name in ("images", "time stamps or offsets"):
         if settings.checksums.get(name) != now[name]:
-            raise ValueError(f"{path}: other {name} than when it was tracked")
+            raise ValueError(f"{path}: the recording's {name} are not those of the run")
     # Only the images are wanted.
     return replace(session, masks=None, _masks={}, _boxes={})
 

@@ -5,23 +5,19 @@ from __future__ import annotations
 import base64
 import json
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sylpose.app import text
 from sylpose.app.album import Album
-from sylpose.app.checkpoint import fingerprint
 from sylpose.app.page import make_page, root_of, settings_of, table
-from sylpose.app.record import SETTINGS, USED
-from sylpose.capture import Session, open_session
+from sylpose.app.record import SETTINGS
+from sylpose.app.recorded import recording_of
 from sylpose.reading import bytes_of, told
 from sylpose.report.formats import PAGE
 from sylpose.report.page import IMAGES
 from sylpose.report.scene import Stills
-from sylpose.sync.offsets import retimed
 
 __all__ = ["report_aloud"]
 
@@ -54,7 +50,7 @@ def _images_again(folder: Path) -> tuple[Stills, str]:
         return _stills_in(folder / PAGE), ""
     settings = settings_of(folder)
     try:
-        session = _recording(folder, settings)
+        session = recording_of(folder)
     except (ValueError, OSError) as error:
         return Stills(), f"{folder}: a page without images: {error}"
     options, album = table(settings, "options"), Album(len(session.rig))
@@ -64,29 +60,6 @@ def _images_again(folder: Path) -> tuple[Stills, str]:
     for frames in session.frames(start or 0, stop, every or 1, lambda _: None):
         album.put(frames)
     return album.stills(), ""
-
-
-def _recording(folder: Path, settings: Mapping[str, Any]) -> Session:
-    """That the run was of.
-
-    Raises:
-        ValueError, OSError: it is not there any more, or not as it was.
-    """
-    cameras, sums = table(settings, "cameras"), table(settings, "checksums")
-    if not cameras or not sums or "recording" not in settings:
-        raise ValueError(f"{SETTINGS} does not say of which files the run was")
-    session = open_session(
-        Path(str(settings["recording"])),
-        calibration=root_of(folder) / USED,
-        cameras={name: str(file) for name, file in cameras.items()},
-    )
-    offsets = table(settings, "offsets")
-    session = retimed(session, [float(offsets.get(name, 0.0)) for name in session.rig.names])
-    now = fingerprint(session)
-    for name in ("images", "time stamps or offsets"):
-        if now[name] != sums.get(name):
-            raise ValueError(f"the recording's {name} are not those of the run")
-    return session
 
 
 def _stills_in(page: Path) -> Stills:

@@ -15,7 +15,7 @@ from sylpose.app.scene import read_scene
 from sylpose.app.view import calibration_of
 from sylpose.app.viewer_server import viewer_server
 from sylpose.capture import Session
-from sylpose.capture.stills import Stills
+from sylpose.capture.single import SingleFrames
 from sylpose.files import replacing
 from sylpose.report.scene import Scene
 
@@ -55,7 +55,7 @@ def show_aloud(
     if why:
         text.print_warnings(console, [f"No images: {why}"])
     with ExitStack() as stack:
-        stills = None if session is None else stack.enter_context(Stills(session))
+        stills = None if session is None else stack.enter_context(SingleFrames(session))
         if save is not None:
             with replacing(save) as part:
                 part.write_text(saved_page(scenes, rig, stills), encoding="utf-8")

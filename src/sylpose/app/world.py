@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.units import METRES
 
-__all__ = ["WorldAsked", "asked_world", "world_asked", "world_of_session"]
+__all__ = ["WorldAsked", "asked_world", "in_words", "world_asked", "world_of_session"]
 
 # A board that is seen as so much larger or smaller than was said is another one (choice: a printer's scaling is less).
 SIZE_OFF = 0.05
@@ -53,6 +54,11 @@ class WorldAsked:
     world: str
     frame: int | None = None
     images: Path | None = None
+
+
+def in_words(world: str) -> bool:
+    """Whether a world is told in words, a board or a direction, and not by a file."""
+    return is_board(world) or re.match(r"\s*up\s*=", world) is not None
 
 
 def asked_world(world: str | None, frame: int | None, images: Path | None) -> WorldAsked | None:

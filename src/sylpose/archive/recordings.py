@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 
 from sylpose import __version__
+from sylpose.app.world import in_words
 from sylpose.archive.stores import File, Place, is_url, place, resolved
 from sylpose.calibration.files import is_calibration_name
 from sylpose.capture.names import IMAGE_SUFFIXES
@@ -25,7 +26,8 @@ __all__ = ["Found", "Options", "Recording", "find_recordings"]
 
 
 class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How a recording is tracked: those of `track_session`."""
+    """How a recording is tracked: those of `track_session`, the unit that it is told in, and the world: in words, or the URL
+    or path of its file."""
 
     method: str = METHODS[0]
     features: str = FEATURES[0]
@@ -36,6 +38,8 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     every: int = 1
     overlay: bool = True
     seed: int = 0
+    unit: str | None = None
+    world: str | None = None
 
 
 class Recording(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,6 +96,8 @@ class _Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     every: int | None = None
     overlay: bool | None = None
     seed: int | None = None
+    unit: str | None = None
+    world: str | None = None
 
 
 class _Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -118,6 +124,7 @@ def find_recordings(
     """
     found: list[Recording] = []
     remarks: list[str] = []
+    options = _at_its_place(options, None)
     for source in sources:
         if PurePosixPath(source).suffix.lower() in (".toml", ".csv"):
             found += _listed(source, options, calibration)
@@ -164,7 +171,8 @@ def _below(
         where = source.below(folder) if folder else source
         own = any(is_calibration_name(Path(file.name)) for file in inside)
         used = {} if own else side
-        found.append(Recording(name=name, url=where.url, options=options, inputs=_inputs(inside, used), **used))
+        inputs = _inputs(inside, used | _world_file(options))
+        found.append(Recording(name=name, url=where.url, options=options, inputs=inputs, **used))
     return found, without
 
 
@@ -230,7 +238,9 @@ def _listed(manifest: str, options: Options, calibration: str | None) -> list[Re
         if not called or any(part in ("", ".", "..") for part in re.split(r"[/\\]", called)):
             called = own.url.rpartition("/")[2]
         chosen = msgspec.structs.replace(options, **changed)
-        found.append(Recording(name=called, url=own.url, options=chosen, inputs=_inputs(files, side), **side))
+        chosen = _at_its_place(chosen, base) if row.world is not None else chosen
+        inputs = _inputs(files, side | _world_file(chosen))
+        found.append(Recording(name=called, url=own.url, options=chosen, inputs=inputs, **side))
     if not found:
         raise ValueError(f"{manifest}: no recording in it")
     return found
@@ -263,6 +273,18 @@ def _plain(error: Exception) -> str:
     key = path.rstrip("`").rpartition(".")[2] if "]." in path else ""
     where = f"recording {int(number) + 1}: " if number.isdigit() else ""
     return f"{where}{key + ': ' if key else ''}{said[:1].lower()}{said[1:]}"
+
+
+def _at_its_place(options: Options, base: Place | None) -> Options:
+    """The same with the file of a world, if it is one, as URL or absolute path; relative to `base`, or to where we are."""
+    if options.world is None or in_words(options.world):
+        return options
+    url = (place(options.world) if base is None else resolved(options.world, base)).url
+    return msgspec.structs.replace(options, world=url)
+
+
+def _world_file(options: Options) -> dict[str, str]:
+    return {} if options.world is None or in_words(options.world) else {"world": options.world}
 
 
 def _sides(**given: str | None) -> dict[str, str]:

@@ -16,7 +16,9 @@ import numpy as np
 
 import sylpose
 from sylpose.app.aloud import why_nothing
+from sylpose.app.opening import told
 from sylpose.app.run import Run, track_session
+from sylpose.app.world import WorldAsked, in_words
 from sylpose.archive.contract import Summary
 from sylpose.archive.recordings import Recording
 from sylpose.archive.stores import is_url, place
@@ -57,13 +59,18 @@ def track_recording(recording: Recording, folder: Path, threads: int) -> Summary
             boxes=local(recording.boxes, "given_boxes"),
             masks=local(recording.masks, "given_masks"),
         )
+        options = msgspec.structs.asdict(recording.options)
+        unit, world = options.pop("unit"), options.pop("world")
+        if world is not None:
+            world = WorldAsked(world if in_words(world) else str(local(world, "given_world.toml")))
+        session = told(session, world, unit)
         run = track_session(
             session,
             folder / "results",
             offsets=find_offsets(session, local(recording.offsets, "given_offsets")),
             checkpoint_seconds=float("inf"),
             workers=threads,
-            **msgspec.structs.asdict(recording.options),
+            **options,
         )
         return summed_up(run, why_nothing(session, run), session.warnings)
     except (ValueError, OSError) as error:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.checked import finite, finite_rows, items, kind_of, number, one_of, shown, truth, whole
 from sylpose.reading import one_line
-from sylpose.units import length_of
+from sylpose.units import NoUnit, length_of
 
 __all__ = ["EXAMPLES", "Board", "is_board", "parse_board"]
 
@@ -95,7 +95,7 @@ class Board:
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "alike", tuple(way.astype(np.int64) for way in alike))
         kind_of(self.text, str, "text")
-        if self.dictionary not in ("", *DICTIONARIES.values()):
+        if kind_of(self.dictionary, str, "dictionary") not in ("", *DICTIONARIES.values()):
             raise ValueError(f"dictionary: {shown(self.dictionary)} is none of OpenCV's")
         truth(self.half_turned, "half_turned")
         whole(self.first_id, "first_id", most=MOST_TAGS)
@@ -141,6 +141,8 @@ def parse_board(text: str, unit: str = "") -> Board:
         asked = _Asked(values, unit)
         board = _KINDS[kind](what, text, asked)
         asked.nothing_else()
+    except NoUnit as error:
+        raise ValueError(f"{_shown(text)}: {error}") from None
     except ValueError as error:
         example = next(e for e in EXAMPLES if e.startswith(f"{kind}:"))
         raise ValueError(f"{_shown(text)}: {error}; expected is one such as {example}") from None

@@ -49,9 +49,14 @@ def find(folder: str | os.PathLike[str]) -> Path:
         inner = sorted(path for path in folder.iterdir() if path.is_dir() and path.name.lower().startswith("calib"))
         found = [path for path in (*inner, folder / "sparse" / "0") if stands_for(path)]
     if not found:
+        below = next(
+            (path for path in sorted(folder.glob("*/*")) if path.is_file() and is_calibration_name(path)), None
+        )
+        instead = f"; if {below} is its, say --calibration, and the folder that the videos are in" if below else ""
         raise ValueError(
             f"{folder}: no calibration in it; expected one such as calibration.toml, camera_array.toml, "
             "calibration.yml, .json or .xml, or as another program calls its own (camchain.yaml, intri.yml, take.xcp)"
+            f"{instead}"
         )
     if len(found) > 1:
         raise ValueError(

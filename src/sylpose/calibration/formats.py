@@ -111,16 +111,17 @@ class Told(NamedTuple):
     data: Any
 
 
-# Names of files that stand for a folder, those that tell more before those that tell less.
+# Names of files that stand for a folder, those that tell more before those that tell less; and whether one calibration may
+# have several of them.
 IN_FOLDERS = (
-    r"cameras\.(?:bin|txt)",
-    r"camera[0-9]+\.Pmat\.cal",
-    r"stereo_params\.pickle",
-    r"(?:.*[_-])?calib.*\.(?:toml|ya?ml|json|xml)",
-    r".*intri.*\.(?:ya?ml|json|xml)",
-    r".*camchain.*\.ya?ml",
-    r".*\.ya?ml",
-    r".*\.(?:toml|json|xml)",
+    (r"cameras\.(?:bin|txt)", True),
+    (r"camera[0-9]+\.Pmat\.cal", True),
+    (r"stereo_params\.pickle", False),
+    (r"(?:.*[_-])?calib.*\.(?:toml|ya?ml|json|xml)", False),
+    (r".*intri.*\.(?:ya?ml|json|xml)", False),
+    (r".*camchain.*\.ya?ml", False),
+    (r".*\.ya?ml", True),
+    (r".*\.(?:toml|json|xml|xcp|mcal|qca\.txt)", False),
 )
 
 
@@ -140,12 +141,18 @@ def told_format(path: Path) -> Told:
 
 
 def stands_for(folder: Path) -> Path | None:
-    """The file of a calibration that is a folder by which it can be told and read; None where there is none."""
+    """The file of a calibration that is a folder by which it can be told and read; None where there is none.
+
+    Raises:
+        ValueError: naming the folder, where there are several and it is not clear which.
+    """
     if not folder.is_dir():
         return None
     files = [file for file in sorted(folder.iterdir()) if file.is_file() and not file.name.startswith(".")]
-    for pattern in IN_FOLDERS:
+    for pattern, several in IN_FOLDERS:
         if found := [file for file in files if re.fullmatch(pattern, file.name, re.IGNORECASE)]:
+            if len(found) > 1 and not several:
+                raise ValueError(f"{folder}: {', '.join(file.name for file in found)}; say which one to use")
             return found[0]
     return None
 

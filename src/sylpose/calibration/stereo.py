@@ -34,8 +34,10 @@ def is_stereo(data: Any) -> bool:
     """Whether a decoded file has numbered camera matrices, or R and T without a camera that they are of."""
     if not isinstance(data, dict):
         return False
-    alone = says(data, "rotation", "translation") and not says(data, "matrix") and "cameras" not in data
-    return len(_numbered(data, _MATRIX)) > 1 or alone
+    if len(_numbered(data, _MATRIX)) > 1:
+        return True
+    cameras = any(isinstance(node, dict) and says(node, "matrix") for node in (data, *data.values()))
+    return says(data, "rotation", "translation") and not cameras and "cameras" not in data
 
 
 def read(data: dict[str, Any], path: Path, sizes: Sizes | None = None) -> Rig:

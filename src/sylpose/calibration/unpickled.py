@@ -74,7 +74,7 @@ def unpickled(data: bytes) -> Any:
     except RecursionError:
         raise
     except Exception as error:  # whatever the bytes make of the machine that reads them
-        raise ValueError(f"not a pickle of numbers and arrays: {one_line(str(error), 100)}") from None
+        raise ValueError(f"not a pickle of numbers and arrays ({type(error).__name__})") from None
 
 
 class _Refused(ValueError):

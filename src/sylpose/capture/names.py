@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-__all__ = ["IMAGE_SUFFIXES", "belongs_to", "image_files", "image_numbers", "match_names"]
+__all__ = ["IMAGE_SUFFIXES", "belongs_to", "image_files", "image_numbers", "match_names", "several_of"]
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm", ".jp2"})
 
@@ -70,6 +70,20 @@ def _by_what_differs(names: Sequence[str], cameras: Sequence[str]) -> dict[str, 
         return {}
     by_word = dict(zip(its, cameras, strict=True))
     return {name: by_word[word] for name, word in zip(names, own, strict=True)}
+
+
+def several_of(names: Sequence[str], cameras: Sequence[str]) -> list[str]:
+    """The names of the first camera where several are each camera's by its own word: several recordings in one folder.
+    Nothing otherwise."""
+    each, rest = divmod(len(names), max(len(cameras), 1))
+    if each < 2 or rest:
+        return []
+    having: dict[str, list[str]] = {}
+    for name in names:
+        for word in {_key(word) for word in re.split(r"[\s_.-]+", name)}:
+            having.setdefault(word, []).append(name)
+    its = [having.get(word, []) for word in _own_words(cameras)]
+    return its[0] if {len(those) for those in its} == {each} and len(set().union(*its)) == len(names) else []
 
 
 def _own_words(names: Sequence[str]) -> list[str]:

@@ -13,7 +13,7 @@ from av.container import InputContainer
 from av.video.stream import VideoStream
 
 from sylpose.capture.images import image_size, read_image
-from sylpose.capture.names import image_files, image_numbers, match_names
+from sylpose.capture.names import image_files, image_numbers, match_names, several_of
 from sylpose.reading import Unreadable, resolved
 from sylpose.rig import Camera, Rig
 
@@ -141,14 +141,20 @@ def _entries(
     missing = [name for name in cameras if name not in by_camera]
     # Where some were named, others may lie beside them.
     extra = [entry.name for entry in found if names[entry] not in matched] if not named else []
+    if missing and (first := several_of(list(names.values()), left)):
+        several = ", ".join(entry.name for entry in found if names[entry] in first)
+        raise ValueError(
+            f"{path}: several recordings in one folder ({several} are all of camera {left[0]}); --camera NAME=FILE, for "
+            "each camera, takes one of them"
+        )
     if missing or extra:
         wrong = []
         if missing:
             wrong.append(f"no video or image folder for camera {', '.join(missing)} of {calibration.name}")
         if extra:
             wrong.append(f"no camera in {calibration.name} ({', '.join(cameras)}) for {', '.join(extra)}")
-        listed = ", ".join(entry.name for entry in found)
-        raise ValueError(f"{path}: {'; '.join(wrong)}; found {listed}; --camera NAME=FILE says which is which")
+        listed = "" if len(extra) == len(found) else f"; found {', '.join(entry.name for entry in found)}"
+        raise ValueError(f"{path}: {'; '.join(wrong)}{listed}; --camera NAME=FILE says which is which")
     return by_camera
 
 

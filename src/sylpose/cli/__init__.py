@@ -1,5 +1,5 @@
 """The command line: `sylpose track`, `batch`, `check`, `box`, `sync`, `show`, `view`, `report`, `demo`, `experiments`,
-`node`, `nodes`, `network`, `calibration`, `object`, `pose` and `doctor`.
+`export`, `compare`, `node`, `nodes`, `network`, `calibration`, `object`, `pose` and `doctor`.
 
 Everything but the options is imported where it is used: the tracker and matplotlib take a second each, which `--help` does
 not need.
@@ -18,7 +18,7 @@ from sylpose import __version__
 from sylpose.cli.asked import app
 
 # Loading them gives them to the app, in the order of `--help`.
-from sylpose.cli import track, batch, recordings, studies, network, calibrations, objects, poses, doctor  # isort: skip
+from sylpose.cli import track, batch, recordings, studies, results, network, calibrations, objects, poses, doctor  # isort: skip
 
 __all__ = [
     "app",
@@ -30,6 +30,7 @@ __all__ = [
     "objects",
     "poses",
     "recordings",
+    "results",
     "studies",
     "track",
 ]

@@ -104,7 +104,8 @@ SessionPath = Annotated[
     typer.Argument(metavar="SESSION", help="Folder with one video (cam_0.mp4) or one folder of images per camera."),
 ]
 CalibrationFile = Annotated[
-    Path | None, typer.Option("--calibration", metavar="FILE", help="Calibration; found in SESSION when it is there.")
+    Path | None,
+    typer.Option("--calibration", metavar="PATH", help="Calibration, a file or folder; found in SESSION if there."),
 ]
 BoxesFile = Annotated[
     Path | None,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import Overlay, RefineCalibration, Seed, Stop, app, examples, fail, one_of, spoken
+from sylpose.cli.asked import Overlay, RefineCalibration, Seed, Stop, Unit, World, app, examples, fail, one_of, spoken
 from sylpose.methods import FEATURES, METHODS, features_of
 
 __all__ = ["batch"]
@@ -72,6 +72,8 @@ def batch(
     stop: Stop = None,
     every: Annotated[int, typer.Option(metavar="N", min=1, help="Track every n-th frame.")] = 1,
     overlay: Overlay = True,
+    unit: Unit = None,
+    world: World = None,
     seed: Seed = 0,
 ) -> None:
     """All recordings below folders or object-store URLs, or listed in manifests, each as sylpose track would do it.
@@ -108,6 +110,8 @@ def batch(
             every=every,
             overlay=overlay,
             seed=seed,
+            unit=unit,
+            world=world,
         )
         found = find_recordings(source, options, calibration, destination)
     if status or found is None:

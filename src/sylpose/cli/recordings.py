@@ -91,7 +91,10 @@ def box(
     """
     from sylpose.app.box import box_aloud
     from sylpose.app.opening import open_recorded
+    from sylpose.capture.live import is_live
 
+    if is_live(session):
+        raise ValueError(f"{session}: of live cameras; boxes are drawn into recordings")
     there = out if out is not None and out.exists() else None
     opened = open_recorded(session, calibration, there, masks, offset, camera, rate)
     given: dict[str, Sequence[object] | None] = {

@@ -36,6 +36,7 @@ def typed(hint: Any, value: Any) -> Any:
     Raises:
         TypeError: it is of another type.
     """
+    hint = _spelt_out(hint)
     origin, of = get_origin(hint), get_args(hint)
     if origin in (UnionType, Union):
         for part in of:
@@ -67,6 +68,14 @@ def typed(hint: Any, value: Any) -> Any:
     elif isinstance(origin, type) and isinstance(value, origin):
         return value
     raise TypeError(type(value).__name__)
+
+
+def _spelt_out(hint: Any) -> Any:
+    """What an alias by `type` stands for, as NumPy's NDArray is one from 2.5 on; other types as they are."""
+    meant = getattr(get_origin(hint) or hint, "__value__", None)
+    if meant is None:
+        return hint
+    return meant[get_args(hint)] if get_args(hint) else meant
 
 
 def _plain(kind: type[Any], value: Any) -> Any:

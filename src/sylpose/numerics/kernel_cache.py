@@ -11,12 +11,13 @@ import hashlib
 import logging
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
 
 import numpy as np
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
 from sylpose.numerics.cache_folders import CHOSEN, folders_of, place_of
@@ -39,28 +40,43 @@ def keep(dispatcher: Any) -> Any:
 
 def is_kept(dispatcher: Any) -> bool:
     """Whether a kernel as it is now, with all that it is compiled with, is kept for this processor."""
-    cache = getattr(dispatcher, "_cache", None)
-    return isinstance(cache, _Cache) and cache.has_any(dispatcher.targetctx.codegen())
+    its = getattr(dispatcher, "_cache", None)
+    return isinstance(its, _Cache) and its.has_any(dispatcher.targetctx.codegen())
 
 
 def folder_of(dispatcher: Any) -> Path | None:
     """Where what is compiled of a kernel will be kept; None if nowhere."""
-    cache = getattr(dispatcher, "_cache", None)
-    return cache.kept_in if isinstance(cache, _Cache) else None
+    its = getattr(dispatcher, "_cache", None)
+    return its.kept_in if isinstance(its, _Cache) else None
 
 
-class _Locator(InTreeCacheLocator):
-    """Numba's, at the folder that can be written, of what are the first choices."""
+class _Locator:
+    """What Numba asks of a locator, of the folder that can be written or else of the first choice."""
 
-    def __init__(self, function: FunctionType, file: str) -> None:
-        numbas: Any = super()  # without types
-        numbas.__init__(function, file)
-        self.folders, self.kept_in = folders_of(Path(file))
-        self._cache_path = str(self.kept_in or self.folders[0])
+    def __init__(self, function: FunctionType, source: Path) -> None:
+        self.folders, self.kept_in = folders_of(source)
+        self._source, self._line = source, function.__code__.co_firstlineno
 
     @classmethod
     def from_function(cls, function: FunctionType, file: str) -> _Locator | None:
-        return cls(function, file) if Path(file).is_file() else None
+        return cls(function, Path(file)) if Path(file).is_file() else None
+
+    def get_cache_path(self) -> str:
+        return str(self.kept_in or self.folders[0])
+
+    def ensure_cache_path(self) -> None:
+        Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
+
+    def get_source_stamp(self) -> str:
+        return _content(self._source)
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+@cache
+def _content(source: Path) -> str:
+    return hashlib.sha256(source.read_bytes()).hexdigest()
 
 
 class _Impl(CompileResultCacheImpl):
@@ -74,7 +90,7 @@ class _Cache(FunctionCache):
     _impl_class = _Impl
 
     def __init__(self, function: FunctionType) -> None:
-        numbas: Any = super()
+        numbas: Any = super()  # without types
         numbas.__init__(function)
         self.function = function
         locator, name = self._impl.locator, self._impl.filename_base

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.report.drawing import in_colour, project
+from sylpose.report.thumbnails import shrunk
 from sylpose.rig import Camera
 
 __all__ = ["Straightened", "jpeg", "smaller", "straightened"]
@@ -23,12 +24,9 @@ NOTHING = (60, 60, 60)
 
 
 def smaller(image: Image, longest: int) -> Image:
-    """An image (h, w, 3) or (h, w) whose longer side has at most so many pixels, each the mean of what it covers."""
-    scale = longest / max(image.shape[:2])
-    if scale >= 1:
-        return image
-    size = max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0]))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    """An image (h, w, 3) or (h, w) whose longer side has at most so many pixels."""
+    height, width = image.shape[:2]
+    return shrunk(image, max(1, round(longest * width / max(height, width)))) if max(height, width) > longest else image
 
 
 def jpeg(image: Image) -> bytes:
@@ -49,8 +47,8 @@ class Straightened:
 
     Attributes:
         low, high: (2,) what they then show, of the plane z = 1 before the camera: left and top, right and bottom.
-        size: (width, height) of the images as they are taken, and of those that come of them.
-        across, down: (height, width) where each pixel is taken from.
+        size: (width, height) of the images that come of it.
+        across, down: (height, width) where each pixel is taken from, in the image made as small.
     """
 
     low: FloatArray
@@ -61,7 +59,7 @@ class Straightened:
 
     def of(self, image: Image) -> Image:
         """An image (h, w, 3) or (h, w) of the camera, as recorded, as (height, width, 3); grey where it shows nothing."""
-        small = cv2.resize(in_colour(image), self.size, interpolation=cv2.INTER_AREA)
+        small = shrunk(in_colour(image), self.size[0])
         rest = cv2.BORDER_CONSTANT
         taken = cv2.remap(small, self.across, self.down, cv2.INTER_LINEAR, borderMode=rest, borderValue=NOTHING)
         return np.asarray(taken, np.uint8)

@@ -20,8 +20,8 @@ PER_CAMERA = ("inliers", "residual_px", "doubt", "matches")
 
 
 def columns_of(trajectory: Trajectory) -> dict[str, list[Any]]:
-    """The columns of trajectory.csv (docs/formats.md), not rounded: NaN where there is no value, infinity where a standard
-    deviation is unbounded."""
+    """The columns of trajectory.csv (docs/formats.md), not rounded: words, whole numbers, and numbers: NaN where there is no
+    value, infinity where a standard deviation is unbounded."""
     names = trajectory.camera_names
     per_camera = [f"{what}_{name}" for what in PER_CAMERA for name in names]
     quaternion, rows = None, []
@@ -53,7 +53,8 @@ def dataframe(trajectory: Trajectory) -> Any:
     try:
         import pandas
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("a DataFrame needs pandas: python3 -m pip install pandas", name=error.name) from None
+        said = "a DataFrame needs pandas: python3 -m pip install 'sylpose[export]'"
+        raise ModuleNotFoundError(said, name=error.name) from None
     return pandas.DataFrame(columns_of(trajectory))
 
 

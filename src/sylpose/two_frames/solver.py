@@ -22,9 +22,9 @@ from sylpose.two_frames.reweight import SIGMA_FLOOR_PX, Reweighted, nothing_yet,
 from sylpose.two_frames.rivals import LESS_LIKELY, second_planes, strongest_rival, together
 from sylpose.two_frames.robust_fit import Settled, Uniform, fitted
 from sylpose.two_frames.standing import LARGER, LIKELIER, hidden, parted, some_move
-from sylpose.two_frames.terms import Candidate, Joined, Stack, TermData, copy_into, guesses_of, stack_terms
-from sylpose.two_frames.valley import bend, far_along, less_certain, taken_in
-from sylpose.two_frames.verdict import is_consistent, rod_axis, stands_still
+from sylpose.two_frames.terms import Joined, Stack, TermData, copy_into, guesses_of, stack_terms
+from sylpose.two_frames.valley import bend, far_along, is_hardly_seen, less_certain, taken_in
+from sylpose.two_frames.verdict import all_seen, is_consistent, rod_axis, stands_still
 
 __all__ = ["FAR_PX", "fit_apart", "fit_terms"]
 
@@ -174,7 +174,6 @@ def _answer(
         information, without_depth = less_certain(information, bent), less_certain(without_depth, bent)
         still = stands_still(stack, found, information)
     other = None
-    doubtful = (checks.bent or checks.inliers < FEW_INLIERS) and not checks.parted
     if still:
         if some_move(stack, usable, found) or strongest_rival(found, minima, information, radius) is not None:
             return no_fit(data, Status.MOSTLY_STILL)
@@ -182,23 +181,22 @@ def _answer(
     elif larger >= HARDLY:
         return no_fit(data, Status.MOSTLY_STILL)
     elif rod is None:
-        for step, dearer in far_along(stack, having, found, radius, float(minima.costs.min())) if doubtful else []:
-            column = taken_in(information, step, dearer)
-            information, without_depth = less_certain(information, column), less_certain(without_depth, column)
-        if doubtful:
-            again = _led_to(stack, having, found, Candidate(rotation, shift, stack.surface_mean))
-            if not np.isfinite(again.costs).all():
+        # What is not seen, or nobody's, needs no more doubts.
+        asked = not (checks.parted or checks.mixed) and all_seen(information, without_depth, rotation, shift, radius)
+        hardly, cost = asked and checks.bent and is_hardly_seen(stack, found, radius), float(minima.costs.min())
+        if asked:
+            others = _led_to(stack, having, found, cost, hardly or checks.inliers < FEW_INLIERS)
+            if others is None:
                 return no_fit(data, Status.NOT_CONVERGED)
-            # What a motion leads to is as likely as itself.
-            minima = together(minima, again._replace(costs=minima.costs.min(keepdims=True)))
-        if len(data) <= FEW_CAMERAS and not checks.parted:
-            for start in second_planes(stack, found):
-                minima = together(minima, _led_to(stack, having, found, start))
+            minima = together(minima, others)
         rival = strongest_rival(found, minima, information, radius)
         if rival is not None and rival.far:
             other = (rival.rotation, rival.shift)
         elif rival is not None:
             column = DOUBT * rival.step[:, None]
+            information, without_depth = less_certain(information, column), less_certain(without_depth, column)
+        for step, dearer in far_along(stack, having, found, radius, cost) if hardly and other is None else []:
+            column = taken_in(information, step, dearer)
             information, without_depth = less_certain(information, column), less_certain(without_depth, column)
     if larger > 1.0:
         # Of a background all, or some, may be: the motion has any size up to this, and fewer matches tell of it.
@@ -244,14 +242,35 @@ def _least_turned(
     return (again, float(promise)) if cost_again < cost + LESS_LIKELY else None
 
 
-def _led_to(stack: Stack, having: FloatArray, found: Reweighted, start: Candidate) -> Settled:
-    """Where a start leads to with the noise that was found, and all else as it is believed before anything is measured."""
-    again = nothing_yet(stack)
-    copy_into(again.candidate, start)
-    again.sigma_px[:] = found.sigma_px
-    _, _, cost = reweight(stack, having, again, SIGMA_FLOOR_PX)
-    rotation, shift = again.candidate.rotation[None], again.candidate.shift[None]
-    return Settled(rotation, shift, np.array([cost]), np.array([float((again.weights > 0.0).sum())]))
+def _led_to(stack: Stack, having: FloatArray, found: Reweighted, cost: float, itself: bool) -> Settled | None:
+    """Where the second planes of few cameras lead to, and the motion itself, with the noise that was found and all else as
+    it is believed before anything is measured. None where the motion leads nowhere.
+
+    A motion that does not lead to itself rests on surfaces and weights that chance, or another motion, has left: where it
+    leads to is counted as as likely.
+
+    Args:
+        having: (N,) the probability of each match to have the motion.
+        cost: of what was found.
+        itself: whether that is asked.
+    """
+    starts = second_planes(stack, found) if len(stack.focal) <= FEW_CAMERAS else []
+    starts += [found.candidate._replace(surface=stack.surface_mean)] if itself else []
+    rotations, shifts = np.empty((len(starts), 3, 3)), np.empty((len(starts), 3))
+    costs, inliers = np.empty(len(starts)), np.empty(len(starts))
+    for k, start in enumerate(starts):
+        again = nothing_yet(stack)
+        copy_into(again.candidate, start)
+        again.sigma_px[:] = found.sigma_px
+        _, _, costs[k] = reweight(stack, having, again, SIGMA_FLOOR_PX)
+        rotations[k], shifts[k] = again.candidate.rotation, again.candidate.shift
+        inliers[k] = (again.weights > 0.0).sum()
+    if itself:
+        if not costs[-1] < np.inf:
+            return None
+        costs[-1] = cost
+    # What is likelier than what was found is no more than a rival of it, as others are.
+    return Settled(rotations, shifts, np.maximum(costs, cost), inliers)
 
 
 @kernel

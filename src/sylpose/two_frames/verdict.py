@@ -20,6 +20,7 @@ from sylpose.two_frames.terms import Stack
 
 __all__ = [
     "CERTAIN_SHARE",
+    "all_seen",
     "is_consistent",
     "judged",
     "more_than_chance",
@@ -56,7 +57,7 @@ def judged(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
     """`observed`, and the directions (k, 6) that its status is about."""
     if fit.status not in (Status.OK, Status.NOT_CERTIFIED):
         return fit, np.empty((0, 6))
-    if _all_seen(fit.information, fit.information_without_depth, fit.rotation, fit.shift, radius):
+    if all_seen(fit.information, fit.information_without_depth, fit.rotation, fit.shift, radius):
         return fit, np.empty((0, 6))
     directions = unseen(fit, radius)
     if len(directions) == 0:
@@ -66,7 +67,7 @@ def judged(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
 
 
 @kernel
-def _all_seen(
+def all_seen(
     information: FloatArray, without_depth: FloatArray, rotation: FloatArray, shift: FloatArray, radius: float
 ) -> bool:
     """Whether `unseen` finds nothing, as a rule: for a fraction of its time; False where it is to be asked."""

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose import calibration
 from sylpose.capture import open_session
-from sylpose.capture.stills import AHEAD, Stills
+from sylpose.capture.single import AHEAD, SingleFrames
 from sylpose.numerics.arrays import Image
 from sylpose.rig import Camera, Rig
 
@@ -58,7 +58,7 @@ def test_frames_of_videos(kind: str, tmp_path: Path) -> None:
     every = [frames.images[0] for frames in session.frames()]
     assert len(every) == FRAMES
     order = [*np.random.default_rng(5).integers(0, FRAMES, 25).tolist(), 7, 8, 9, 9, FRAMES - 1, 0]
-    with Stills(session) as stills:
+    with SingleFrames(session) as stills:
         for k in order:
             (image,) = stills.at(k)
             np.testing.assert_array_equal(image, every[k], err_msg=f"frame {k}")
@@ -74,7 +74,7 @@ def test_images_and_cameras_that_miss_some(tmp_path: Path) -> None:
             cv2.imwrite(str(folder / name / f"{k}.png"), picture(k))
     (folder / "cam_1" / "2.png").write_bytes(b"no image")
     session = open_session(folder, offsets={"cam_1": 1})
-    with Stills(session) as stills:
+    with SingleFrames(session) as stills:
         first, second = stills.at(3)
         np.testing.assert_array_equal(first, picture(3))
         assert second is None  # its third image, which is broken

@@ -16,13 +16,13 @@ from sylpose.capture.session import Session
 from sylpose.capture.sources import Source, open_video
 from sylpose.numerics.arrays import Image, IntArray
 
-__all__ = ["Stills"]
+__all__ = ["SingleFrames"]
 
 # So many frames ahead are rather decoded one after the other than sought by the key frame before them (choice).
 AHEAD = 40
 
 
-class Stills:
+class SingleFrames:
     """The images of a recording at single instants; a context manager. For one thread at a time.
 
     Raises:
