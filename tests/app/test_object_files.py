@@ -21,10 +21,11 @@ from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.results import Observable
 from sylpose.rig import Rig
-from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
+from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
 from sylpose.tracking.known_here import known_here
 from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.tracker import Tracker
+from sylpose.units import FIRST_DISTANCES
 from tests.takes import NEXT, RIG, Path_, elsewhere, errors, recorded, slide
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -147,19 +148,72 @@ def test_an_object_that_does_not_come_is_not_found(tmp_path: Path, known: KnownO
 # --- what cannot be ----------------------------------------------------------------------------------------------------
 
 
-def test_other_cameras_units_and_places_are_said(known: KnownObject) -> None:
-    known_here(known, RIG)
-    known_here(known, RIG.subset(["cam_0", "cam_2"]))
+def moved(name: str, angle: float) -> Rig:
+    """The rig with a camera turned about its y axis."""
+    turn = RigidTransform.from_rotation(Rotation.from_rotvec([0, angle, 0]))
+    return Rig([replace(c, camera_from_world=turn * c.camera_from_world) if c.name == name else c for c in RIG], "m")
+
+
+def test_whose_cameras_stand_where_they_stood(known: KnownObject) -> None:
+    """To each other, in any world; those that do not know nothing, and where most do not it is another rig."""
     with pytest.raises(ValueError, match="its lengths are in m, those of the calibration in mm"):
         known_here(known, Rig(RIG.cameras, "mm"))
-    with pytest.raises(ValueError, match=r"it was seen by cam_0, .*, and the calibration has none of these \(a, b\)"):
-        known_here(known, Rig([replace(c, name=n) for c, n in zip(RIG.cameras, "ab", strict=False)], "m"))
-    turned = RigidTransform.from_rotation(Rotation.from_rotvec([0, 0.1, 0])) * RIG.cameras[1].camera_from_world
-    moved = [*RIG.cameras[:1], replace(RIG.cameras[1], camera_from_world=turned), *RIG.cameras[2:]]
-    with pytest.raises(ValueError, match=r"cam_1 is another camera than the one that saw it, or stands elsewhere"):
-        known_here(known, Rig(moved, "m"))
-    little = RigidTransform.from_rotation(Rotation.from_rotvec([0, 0.002, 0])) * RIG.cameras[1].camera_from_world
-    known_here(known, Rig([*RIG.cameras[:1], replace(RIG.cameras[1], camera_from_world=little), *RIG.cameras[2:]], "m"))
+    with pytest.raises(ValueError, match="one camera has learnt it"):
+        known_here(replace(known, rig=Rig(RIG.cameras, FIRST_DISTANCES)), RIG)
+    world = RigidTransform.from_components([3.0, -2.0, 1.0], Rotation.from_rotvec([1.0, 2.0, -0.5]))
+    for rig in (RIG, RIG.subset(["cam_0", "cam_2"]), RIG.subset(["cam_1"]), moved("cam_1", 0.002), RIG.in_world(world)):
+        here = known_here(known, rig)
+        assert not here.another_rig
+        assert not here.note
+        assert tuple(here.memories) == rig.names
+        seen = [rig.cameras[0].camera_from_world * k.world_from_object for k in here.keyframes]
+        for pose, keyframe in zip(seen, known._keyframes, strict=True):
+            before = known.rig[rig.names[0]].camera_from_world * keyframe.world_from_object
+            np.testing.assert_allclose(pose.as_matrix(), before.as_matrix(), atol=2e-3)
+    here = known_here(known, moved("cam_1", 0.1))
+    assert not here.another_rig
+    assert set(here.memories) == {"cam_0", "cam_2", "cam_3"}
+    assert "Elsewhere than when the object was learnt: cam_1," in here.note
+    other = known_here(known, Rig([replace(c, name=n) for c, n in zip(RIG.cameras, "ab", strict=False)], "m"))
+    assert other.another_rig
+    assert "Other cameras have learnt the object" in other.note
+    # What a camera would see there is what one of the others saw.
+    for k, keyframe in enumerate(other.keyframes):
+        (camera,) = [name for name, memory in other.memories.items() if len(memory.features[k])]
+        features, places = other.memories[camera].features[k], other.memories[camera].seen_in(k).mean
+        pixels = RIG["cam_0" if camera == "a" else "cam_1"].project(keyframe.world_from_object.apply(places))
+        assert np.median(np.linalg.norm(pixels - features.pixels, axis=1)) < 0.5
+
+
+OTHERS = arc(3, 50, 1.8, 650, (640, 480), height=0.15)
+
+
+@pytest.mark.parametrize("smooth", [False, True], ids=["tracked", "smoothed"])
+@pytest.mark.parametrize("names", [("cam_0", "cam_1", "cam_2"), ("cam_1",)], ids=["three", "one"])
+def test_another_rig_finds_what_the_first_has_learnt(
+    tmp_path: Path, known: KnownObject, actor_from_object: RigidTransform, names: tuple[str, ...], smooth: bool
+) -> None:
+    """Three cameras elsewhere, of other sizes and lenses, or one of them; in the same frame, and not too sure."""
+    rig = OTHERS.subset(names)
+    take = recorded(tmp_path / "take", elsewhere, 6, seed=5, rig=rig)
+    run = track_session(open_session(take), overlay=False, smooth=smooth, known=known)
+    assert run.problems == (known_here(known, rig).note,)
+    assert run.trajectory.unit == "m"
+    assert all(pose.measured and pose.observable is Observable.ALL for pose in run.trajectory)
+    wrong = np.array([errors(pose, elsewhere(pose.index) * actor_from_object) for pose in run.trajectory])
+    several = len(names) > 1
+    assert np.degrees(np.linalg.norm(wrong[:, :3], axis=1)).max() < (0.8 if several else 2.0)
+    assert np.linalg.norm(wrong[:, 3:], axis=1).max() < (0.002 if several else 0.01)
+    squares = [e @ np.linalg.solve(pose.covariance, e) / 6 for e, pose in zip(wrong, run.trajectory, strict=True)]
+    assert 0.001 < np.mean(squares) < 2.0
+    assert 0.2 < max(np.degrees(pose.sigma[:3]).max() for pose in run.trajectory) < 2.5
+    if several and smooth:
+        more = load_object(take / "sylpose" / OBJECT)
+        assert more.mark == known.mark
+        assert more.rig.names == names
+        assert any(k.stays for k in more._keyframes)
+        with pytest.raises(ValueError, match="refine_calibration: another rig has learnt object"):
+            track_session(open_session(take), overlay=False, refine_calibration=True, known=known)
 
 
 def test_cameras_that_are_calibrated_anew_make_poses_less_certain(

@@ -23,7 +23,7 @@ from sylpose.numerics.arrays import FloatArray
 from sylpose.reading import told
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.known_here import known_here
+from sylpose.tracking.known_here import check_unit
 from sylpose.tracking.known_object import FEWEST, CameraMemory, KnownObject, ObjectFrame
 
 __all__ = ["CLOUD", "DRAWN", "OBJECT", "checksum_of", "known_objects", "load_object", "save_object", "write_cloud"]
@@ -49,6 +49,7 @@ _ARRAYS: Mapping[str, tuple[str, tuple[str | int, ...]]] = {
     "points": ("f8", ("P", 3)),
     "keyframe_time": ("f8", ("K",)),
     "keyframe_age": ("f8", ("K",)),
+    "keyframe_stays": ("i8", ("K",)),
     "keyframe_world_from_object": ("f8", ("K", 4, 4)),
     "keyframe_covariance": ("f8", ("K", 6, 6)),
     "landmark_camera": ("i8", ("L",)),
@@ -106,6 +107,7 @@ def save_object(known: KnownObject, path: Path | str) -> None:
         "points": known._points,
         "keyframe_time": np.array([k.time for k in known._keyframes]),
         "keyframe_age": np.array([k.age for k in known._keyframes]),
+        "keyframe_stays": np.array([k.stays for k in known._keyframes]),
         "keyframe_world_from_object": np.array([k.world_from_object.as_matrix() for k in known._keyframes]),
         "keyframe_covariance": np.array([k.covariance for k in known._keyframes]),
     }
@@ -226,7 +228,7 @@ def _object(header: _Header, a: Mapping[str, NDArray[Any]]) -> KnownObject:
         if not _are_covariances(a[name]):
             raise ValueError(f"{name} has matrices that are not symmetric and positive")
     whole = {"landmark_camera": c, "feature_camera": c, "feature_keyframe": k}
-    for name, most in {**whole, "landmark_id": 1 << 31, "landmark_seen": 1 << 31}.items():
+    for name, most in {**whole, "keyframe_stays": 2, "landmark_id": 1 << 31, "landmark_seen": 1 << 31}.items():
         if ((a[name] < 0) | (a[name] >= most)).any():
             raise ValueError(f"{name} has numbers of what is not there")
     frames = tuple(
@@ -239,6 +241,7 @@ def _object(header: _Header, a: Mapping[str, NDArray[Any]]) -> KnownObject:
             viewpoints=np.empty((0, 3)),
             sees=np.empty(0, bool),
             age=float(a["keyframe_age"][i]),
+            stays=bool(a["keyframe_stays"][i]),
         )
         for i in range(k)
     )
@@ -322,7 +325,7 @@ def known_objects(given: Sequence[str] | None, objects: Sequence[str], rig: Rig)
         rig: that is going to see them.
 
     Raises:
-        FileNotFoundError, ValueError: as `load_object` and `known_here`; names that there are not, or twice.
+        FileNotFoundError, ValueError: as `load_object` and `check_unit`; names that there are not, or twice.
     """
     known: dict[str, KnownObject] = {}
     for text in given or ():
@@ -335,7 +338,7 @@ def known_objects(given: Sequence[str] | None, objects: Sequence[str], rig: Rig)
             raise ValueError(f"--object: given twice for {name}")
         its = load_object(file)
         with told(file):
-            known_here(its, rig)
+            check_unit(its, rig)
         known[name] = its
     return known
 

@@ -194,7 +194,11 @@ def track_session(
         for name in session.objects:
             boxes = None if name in known else session.of(name).boxes or None
             more = {"known": known[name]} if name in known else {}
-            trackers[name] = whole.enter_context(of(session.rig, boxes, **options, **more))
+            tracker = trackers[name] = whole.enter_context(of(session.rig, boxes, **options, **more))
+            if refine_calibration and isinstance(tracker, Tracker) and tracker.known and tracker.known.another_rig:
+                raise ValueError(
+                    f"refine_calibration: another rig has learnt {name}, and what that saw tells nothing of this one"
+                )
         if resume and not results.path.is_dir():
             raise FileNotFoundError(f"{results.path}: no interrupted run to resume (there is no such folder)")
         # Up to here nothing was written.

@@ -35,5 +35,5 @@ def tracks_of(here: KnownHere, rig: Rig, time: float) -> list[Track]:
         status = FrameStatus.TRACKED if k else FrameStatus.FIRST
         residuals = np.full(len(rig), np.nan)
         pose = FramePose(k - n, time + k - n, status, frame.world_from_object, frame.covariance, counts, residuals)
-        tracks.append(Track(pose, tuple(sightings), np.zeros(len(rig)), here.known.radius))
+        tracks.append(Track(pose, tuple(sightings), np.zeros(len(rig)), here.known.radius, stays=frame.stays))
     return tracks

@@ -24,6 +24,7 @@ from sylpose.results import FramePose, Observable, Status
 from sylpose.rig import Rig
 from sylpose.tracking.far_frames import another_path
 from sylpose.tracking.joint import Nudge
+from sylpose.tracking.keyframes import inherited
 from sylpose.tracking.records import placed
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
 
@@ -48,6 +49,7 @@ class Track:
         late: (C,) seconds.
         radius: of the object.
         nudges: of cameras, up to now.
+        stays: whether its pose is not refined with others: that of a keyframe which another rig has seen.
     """
 
     pose: FramePose
@@ -55,6 +57,7 @@ class Track:
     late: FloatArray
     radius: float
     nudges: tuple[Nudge, ...] = ()
+    stays: bool = False
 
     @classmethod
     def of(cls, tracked: TrackedFrame) -> Track:
@@ -106,7 +109,7 @@ def smooth(
     moved: Sequence[Moved] = (),
     on_round: Callable[[int], None] | None = None,
 ) -> Smoothed:
-    """Refines the poses of all frames together; the first one's stays.
+    """Refines the poses of all frames together; the first one's stays, or those of the frames that say so.
 
     Args:
         frames: in order of time, all that the tracker gave.
@@ -144,7 +147,7 @@ def smooth(
     # A frame that taught nothing (before the object was seen to move) would only bend the way between its neighbours.
     used = [k for k, f in enumerate(frames) if f.pose.seen and any(len(seen.landmark) for seen in f.sightings)]
     poses = [frame.pose for frame in frames]
-    if len(used) < 2:
+    if len(used) < 2 or all(frames[k].stays for k in used):
         return Smoothed(tuple(poses), Status.TOO_FEW_MATCHES, nothing, nothing, np.full(len(rig), np.nan), 0)
     seen, places = _observations([frames[k] for k in used])
     places = placed(places, frames[used[-1]].radius)  # nodes tell each other no more
@@ -164,12 +167,15 @@ def smooth(
         _stacked([frames[k].pose for k in used]),
         frames[used[-1]].radius,
     )
+    stays = np.array([frames[k].stays for k in used])
     bundled = bundle_sized(
         wider,
         sights,
         path,
         radius,
-        other=another_path(wider, sights, path, radius),
+        # Those that stay are of no path, and tell where the surface is.
+        other=None if stays.any() else another_path(wider, sights, path, radius),
+        fixed=stays if stays.any() else None,
         landmarks=places,
         times=np.array([frames[k].pose.time for k in used])[:, None] + late,
         offsets_sd=offsets_sd,
@@ -181,7 +187,11 @@ def smooth(
         open_length = length_is_open(bundled)
         counts, residuals = _per_camera(bundled, seen, len(used), len(rig))
         contradicted = given_up(bundled, seen)
-        contradicted[0] = False
+        contradicted[stays] = contradicted[0] = False
+        covariance = bundled.covariance
+        if stays.any():
+            own = np.array([frames[k].pose.covariance for k in used])
+            covariance = covariance + inherited(bundled.world_from_object, own, stays)
         refined, astray = np.zeros((2, len(frames)), bool)
         refined[used], astray[used] = bundled.tied & ~contradicted, bundled.tied & contradicted
         for i, k in enumerate(used[1:], start=1):
@@ -189,7 +199,7 @@ def smooth(
                 poses[k] = replace(
                     poses[k],
                     world_from_object=bundled.world_from_object[i],
-                    covariance=bundled.covariance[i],
+                    covariance=covariance[i],
                     observable=_observable(poses[k].observable, open_length),
                     inliers=counts[i],
                     residuals=residuals[i],

@@ -95,6 +95,7 @@ class SolvedFrame:
         viewpoints: (C, 3) the cameras' centres in the object's frame.
         sees: (C,) which cameras have features of it.
         age: in how many frames the landmarks were usually seen that it was solved with.
+        stays: whether its pose is not refined with others: that of a keyframe which another rig has seen.
     """
 
     number: int
@@ -105,6 +106,7 @@ class SolvedFrame:
     viewpoints: FloatArray
     sees: BoolArray
     age: float = 1.0
+    stays: bool = False
 
 
 @dataclass(frozen=True, eq=False)

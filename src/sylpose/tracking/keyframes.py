@@ -13,11 +13,11 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.rig import Rig
 from sylpose.tracking.frame import SolvedFrame
 
-__all__ = ["MAX_KEYFRAMES", "nearest_views", "references_of", "viewpoints", "with_keyframe"]
+__all__ = ["MAX_KEYFRAMES", "inherited", "nearest_views", "references_of", "viewpoints", "with_keyframe"]
 
 
 # So many keyframes are kept: a few for every side of the object (choice).
@@ -88,6 +88,20 @@ def with_keyframe(keyframes: tuple[SolvedFrame, ...], current: SolvedFrame) -> t
         alike = np.tril(turns @ turns.T, -1) - 10.0 * np.triu(np.ones((len(turns), len(turns))))
         del kept[int(np.unravel_index(np.argmax(alike), alike.shape)[0])]
     return tuple(kept)
+
+
+def inherited(poses: RigidTransform, covariances: FloatArray, stays: BoolArray) -> FloatArray:
+    """(N, 6, 6) of (w, d): what frames take over from those that stay while they are refined; these are off alike, as they
+    have ancestors in common, and errors turn with the object.
+
+    Args:
+        poses: N world_from_object; covariances: (N, 6, 6) of those that stay; stays: (N,) which of them do.
+    """
+    turns = np.zeros((len(stays), 6, 6))
+    turns[:, :3, :3] = turns[:, 3:, 3:] = poses.rotation.as_matrix()
+    back = turns[stays].transpose(0, 2, 1)
+    usual = (back @ covariances[stays] @ turns[stays]).mean(axis=0)
+    return np.asarray(turns @ usual @ turns.transpose(0, 2, 1))
 
 
 def _is_new(keyframes: Sequence[SolvedFrame], current: SolvedFrame) -> bool:

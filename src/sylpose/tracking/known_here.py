@@ -12,9 +12,9 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.landmarks.table import LandmarkTable
 from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.rigid import turn_of
 from sylpose.results import FramePose, Observable
 from sylpose.rig import Rig
+from sylpose.tracking.another_rig import calibrated_apart, carried, elsewhere
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.find import WAIT_FOR_MORE
 from sylpose.tracking.frame import CameraFrame, SolvedFrame
@@ -25,7 +25,7 @@ from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.velocity import Velocity
 from sylpose.units import FIRST_DISTANCES
 
-__all__ = ["KnownHere", "Telling", "begun_with", "known_here"]
+__all__ = ["KnownHere", "Telling", "begun_with", "check_unit", "known_here"]
 
 # Landmarks are where these cameras saw them, within so many pixels in the middle, unless they are other cameras or stand
 # elsewhere: calibrated anew they are a pixel or two off, moved by hand tens (choice).
@@ -77,20 +77,66 @@ class KnownHere:
     Attributes:
         known: the object.
         keyframes: in the world of these cameras; memories: by the name of a camera, what it knows, of these keyframes.
-        telling: how poses are told.
+        telling: how poses are told; names: of these cameras.
     """
 
     known: KnownObject
     keyframes: tuple[SolvedFrame, ...]
     memories: Mapping[str, CameraMemory]
     telling: Telling
+    names: tuple[str, ...]
+
+    @property
+    def another_rig(self) -> bool:
+        """Whether it was learnt by other cameras, or by these as they stood elsewhere."""
+        return self.keyframes[0].stays
+
+    @property
+    def note(self) -> str:
+        """A sentence on cameras that do not stand where they stood; "" of those that do."""
+        if self.another_rig:
+            return (
+                "Other cameras have learnt the object, or these as they stood elsewhere: what those saw is taken to be what "
+                "these would see, and poses are no better known than two calibrations usually agree."
+            )
+        moved = [name for name in self.names if name in self.known.camera_names and name not in self.memories]
+        return (
+            f"Elsewhere than when the object was learnt: {', '.join(moved)}, which knows nothing of it yet."
+            if moved
+            else ""
+        )
 
 
 def known_here(known: KnownObject, rig: Rig) -> KnownHere:
-    """A known object before the cameras of a rig: those that saw it, where they stood to each other; in any world.
+    """A known object before the cameras of a rig: of those that saw it, where they stood to each other, in any world; or of
+    others.
 
     Raises:
-        ValueError: another unit, none of its cameras, or one that stands elsewhere.
+        ValueError: lengths in another unit.
+    """
+    check_unit(known, rig)
+    keyframes, same, off = _in_this_world(known, rig)
+    if same:
+        memories = {name: known._cameras[name] for name in same}
+        shift = _calibrated_anew(rig, keyframes, {name: off[name] for name in same})
+    else:
+        (keyframes, memories), shift = carried(known, rig), calibrated_apart(known, rig)
+    telling = Telling(
+        known.frame.from_learnt,
+        np.diag(np.repeat([(shift / known.radius) ** 2, shift**2], 3)),
+        known.scale_sd,
+        known.radius,
+        rig.cameras[0].center if len(rig) == 1 else None,
+        len(rig) == 1 and known.unit != FIRST_DISTANCES,
+    )
+    return KnownHere(known, keyframes, memories, telling, rig.names)
+
+
+def check_unit(known: KnownObject, rig: Rig) -> None:
+    """Whether a rig can tell the object's lengths.
+
+    Raises:
+        ValueError: they are in another unit.
     """
     if known.unit == FIRST_DISTANCES and len(rig) > 1:
         raise ValueError(
@@ -100,56 +146,35 @@ def known_here(known: KnownObject, rig: Rig) -> KnownHere:
     if known.unit not in (rig.unit, FIRST_DISTANCES):
         said = [f"in {unit}" if unit else "in no unit that is said" for unit in (known.unit, rig.unit)]
         raise ValueError(f"its lengths are {said[0]}, those of the calibration {said[1]}")
-    both = [name for name in rig.names if name in known._cameras]
-    if not both:
-        raise ValueError(
-            f"it was seen by {', '.join(known._cameras)}, and the calibration has none of these ({', '.join(rig.names)})"
-        )
-    keyframes, off = _in_this_world(known, rig, both)
-    for name, far in _medians(off).items():
-        if far > SAME_RIG_PX:
-            raise ValueError(
-                f"{name} is another camera than the one that saw it, or stands elsewhere: what is known of it would be "
-                f"{far:.0f} px off in its images"
-            )
-    sized = len(rig) == 1 and known.unit != FIRST_DISTANCES
-    telling = Telling(
-        known.frame.from_learnt,
-        _calibrated_anew(known, rig, keyframes, off),
-        known.scale_sd,
-        known.radius,
-        rig.cameras[0].center if len(rig) == 1 else None,
-        sized,
-    )
-    return KnownHere(known, keyframes, {name: known._cameras[name] for name in both}, telling)
 
 
 def _in_this_world(
-    known: KnownObject, rig: Rig, names: Sequence[str]
-) -> tuple[tuple[SolvedFrame, ...], dict[str, FloatArray]]:
-    """The keyframes in the rig's world, and what `_off` says of them there. That is the world of the cameras that saw it, or
-    the one in which one of them stands where it stood: whichever has most of them stand so."""
+    known: KnownObject, rig: Rig
+) -> tuple[tuple[SolvedFrame, ...], tuple[str, ...], dict[str, FloatArray]]:
+    """The keyframes in the rig's world; the cameras that stand there as those did that saw it, none where these are too few
+    for the same rig; and what `_off` says of all.
+
+    The world is that of the cameras that saw it, or the one in which one of them stands where it stood: whichever has most
+    of them stand so.
+    """
+    names = [name for name in rig.names if name in known._cameras]
     worlds = [RigidTransform.identity()]
     worlds += [rig[name].camera_from_world.inv() * known.rig[name].camera_from_world for name in names]
     found = []
     for new_from_world in worlds:
-        keyframes = tuple(_elsewhere(frame, new_from_world) for frame in known._keyframes)
+        keyframes = tuple(elsewhere(frame, new_from_world) for frame in known._keyframes)
         off = _off(known, rig, keyframes, names)
-        far = np.array([*_medians(off).values()])
-        found.append(((-np.count_nonzero(far <= SAME_RIG_PX), np.minimum(far, 1e6).sum()), keyframes, off))
+        far = _medians(off)
+        same = tuple(name for name in names if far[name] <= SAME_RIG_PX)
+        found.append(((-len(same), sum(min(px, 1e6) for px in far.values())), keyframes, same, off))
     # As it is, unless another one is clearly better: it would be known no better, calibrated anew, by one camera alone.
-    same, *others = found
-    best = min(others, key=lambda world: world[0])
-    return best[1:] if best[0][0] < same[0][0] else same[1:]
-
-
-def _elsewhere(frame: SolvedFrame, new_from_world: RigidTransform) -> SolvedFrame:
-    """A keyframe in another world."""
-    if (new_from_world.as_matrix() == np.eye(4)).all():
-        return frame
-    turn = block_diag(*[turn_of(new_from_world)] * 2)
-    pose = new_from_world * frame.world_from_object
-    return replace(frame, world_from_object=pose, covariance=turn @ frame.covariance @ turn.T)
+    as_it_is, *others = found
+    best = min(others, key=lambda world: world[0], default=as_it_is)
+    best = best if best[0][0] < as_it_is[0][0] else as_it_is
+    _, keyframes, same, off = best
+    # Of a single one, any world may be that in which it stands as before; of a few of many, others know more.
+    enough = len(same) > 1 or best is as_it_is
+    return keyframes, same if enough and 2 * len(same) >= min(len(rig), len(known._cameras)) else (), off
 
 
 def _off(known: KnownObject, rig: Rig, keyframes: Sequence[SolvedFrame], names: Sequence[str]) -> dict[str, FloatArray]:
@@ -170,11 +195,9 @@ def _medians(off: Mapping[str, FloatArray]) -> dict[str, float]:
     return {name: float(np.median(its)) if len(its) else 0.0 for name, its in far.items()}
 
 
-def _calibrated_anew(
-    known: KnownObject, rig: Rig, keyframes: Sequence[SolvedFrame], off: Mapping[str, FloatArray]
-) -> FloatArray:
-    """(6, 6) covariance of (w, d): how far poses may be off where cameras are calibrated otherwise than when the object was
-    learnt. They are drawn by what its landmarks are off as a whole in each camera's images."""
+def _calibrated_anew(rig: Rig, keyframes: Sequence[SolvedFrame], off: Mapping[str, FloatArray]) -> float:
+    """How far off the place of an object may be, length units, where cameras are calibrated otherwise than when it was
+    learnt. It is drawn by what its landmarks are off as a whole in each camera's images."""
     far = []
     for name, its in off.items():
         if len(its):
@@ -182,8 +205,7 @@ def _calibrated_anew(
             away = np.median([camera.camera_from_world.apply(k.world_from_object.translation)[2] for k in keyframes])
             far.append(float(np.linalg.norm(np.nanmedian(its, axis=0))) * away / camera.focal)
     # Of cameras that are off independently of each other, the mean.
-    shift = float(np.sqrt(np.sum(np.square(far)))) / len(far) if far else 0.0
-    return np.diag(np.repeat([(shift / known.radius) ** 2, shift**2], 3))
+    return float(np.sqrt(np.sum(np.square(far)))) / len(far) if far else 0.0
 
 
 def begun_with(here: KnownHere, rig: Rig, parts: Sequence[CameraPart], time: float) -> Joint:

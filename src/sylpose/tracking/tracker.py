@@ -151,14 +151,19 @@ class Tracking:
             boxes tell where it is, then those that waited for it and this one.
         """
         check_frames(frames, self._rig)
-        if (here := self.known) is not None and not self.number:
+        here, note = self.known, ""
+        if here is not None and not self.number:
+            note = here.note
             self._joint = begun_with(here, self._rig, self._here(), frames.time)
             self.number = len(here.keyframes)
         index, self.number = self.number, self.number + 1
         self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, index, frames)
         if here is None:
             return decided
-        return [replace(tracked, pose=here.telling.of(tracked.pose), learnt=tracked.pose) for tracked in decided]
+        return [
+            replace(tracked, pose=here.telling.of(tracked.pose), learnt=tracked.pose, note=tracked.note or note)
+            for tracked in decided
+        ]
 
     @property
     def memory(self) -> Memory:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.adjustment.bundle import Bundled, Observations
 from sylpose.adjustment.sized import SMALL_TURN, bundle_sized, length_is_open
-from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
 from sylpose.numerics.later import Later
 from sylpose.numerics.rigid import turn_between
 from sylpose.results import UNCERTAIN_TURN, Status
@@ -24,7 +24,7 @@ from sylpose.rig import Rig
 from sylpose.tracking.far_frames import another_path
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.joint import Joint, Refinement
-from sylpose.tracking.keyframes import viewpoints
+from sylpose.tracking.keyframes import inherited, nearest_views, viewpoints
 from sylpose.tracking.records import Seen, placed
 from sylpose.tracking.team import Team
 
@@ -99,7 +99,8 @@ def finished(team: Team, joint: Joint, number: int) -> Joint:
 
 def _applied(team: Team, joint: Joint, pending: Refinement) -> Joint:
     """With what comes of a refinement; frames that were solved since then go along with the last one that it has."""
-    joint, bundled, frames = replace(joint, pending=None), pending.found.value(), pending.frames
+    joint, frames = replace(joint, pending=None), pending.frames
+    bundled = _with_inherited(pending.found.value(), frames)
     if bundled.status is Status.TOO_FEW_MATCHES:
         return joint
     joint = replace(joint, length_sd=bundled.length_sd if length_is_open(bundled) else 0.0)
@@ -123,7 +124,7 @@ def _applied(team: Team, joint: Joint, pending: Refinement) -> Joint:
     poses = {
         frame.number: (bundled.world_from_object[k], bundled.covariance[k])
         for k, frame in enumerate(frames)
-        if bundled.tied[k] and frame.number in now
+        if bundled.tied[k] and frame.number in now and not frame.stays
     }
     if bundled.tied[at]:
         along = refined_to * last.world_from_object.inv()
@@ -140,6 +141,14 @@ def _applied(team: Team, joint: Joint, pending: Refinement) -> Joint:
 
     team.crew.each(learn, long=True)
     return replace(joint.moved(moved), refined=bundled.covariance[at] if bundled.tied[at] else None)
+
+
+def _with_inherited(bundled: Bundled, frames: Sequence[SolvedFrame]) -> Bundled:
+    """With what the frames that stay are off."""
+    stays, own = np.array([frame.stays for frame in frames]), np.array([frame.covariance for frame in frames])
+    if not stays.any():
+        return bundled
+    return replace(bundled, covariance=bundled.covariance + inherited(bundled.world_from_object, own, stays))
 
 
 def _tells_surface(bundled: Bundled, names: IntArray) -> bool:
@@ -171,9 +180,15 @@ def at_least(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _chosen(joint: Joint) -> list[SolvedFrame]:
     """In order of time: the first keyframe, the frame just solved, the recent ones, and of the others some that are evenly
-    spread."""
-    every = {frame.number: frame for frame in (*joint.keyframes, *joint.recent, joint.base)}
+    spread; of those that stay the ones in which a camera looked from nearby."""
+    known = [frame for frame in joint.keyframes if frame.stays]
+    every = {frame.number: frame for frame in (*joint.keyframes, *joint.recent, joint.base) if not frame.stays}
     frames = [every[number] for number in sorted(every)]
+    if known:
+        views = joint.base.viewpoints
+        near = [nearest_views(known, c, view, MOST // (2 * len(views)) + 1) for c, view in enumerate(views)]
+        stay = {frame.number: frame for its in near for frame in its}
+        return [*(stay[number] for number in sorted(stay)), *frames[-MOST // 2 :]]
     if len(frames) <= MOST:
         return frames
     recent = frames[-MOST // 2 :]
@@ -216,8 +231,9 @@ def _sights(frame: IntArray, landmark: IntArray) -> IntArray:
 
 def _what(
     team: Team, frames: Sequence[SolvedFrame], told: Sequence[Seen], new: Sequence[Seen]
-) -> tuple[Rig, Observations, RigidTransform, FloatArray, FloatArray]:
-    """What is refined: the rig, the observations, the poses, where the landmarks are, and when each camera took each frame.
+) -> tuple[Rig, Observations, RigidTransform, FloatArray, FloatArray, BoolArray | None]:
+    """What is refined: the rig, the observations, the poses, where the landmarks are, when each camera took each frame, and
+    which frames stay, None for the first.
 
     Args:
         told: by camera, what is used; new: which landmarks, and where they are.
@@ -235,11 +251,19 @@ def _what(
     times = np.array([frame.time + frame.late for frame in frames])
     if (np.diff(times.mean(axis=1)) <= 0).any():  # by what cameras say of their clocks: that cannot be
         times = np.array([frame.time for frame in frames])
-    return team.rig, observations, poses, np.concatenate([seen.place for seen in new]), times
+    stays = np.array([frame.stays for frame in frames])
+    places = np.concatenate([seen.place for seen in new])
+    return team.rig, observations, poses, places, times, stays if stays.any() else None
 
 
 def bundled_together(
-    rig: Rig, observations: Observations, poses: RigidTransform, landmarks: FloatArray, times: FloatArray, radius: float
+    rig: Rig,
+    observations: Observations,
+    poses: RigidTransform,
+    landmarks: FloatArray,
+    times: FloatArray,
+    stays: BoolArray | None,
+    radius: float,
 ) -> Bundled:
     """The frames refined together; see `_what`."""
     return bundle_sized(
@@ -247,7 +271,9 @@ def bundled_together(
         observations,
         poses,
         radius,
-        other=another_path(rig, observations, poses, radius),
+        # Those that stay are of no path, and tell where the surface is.
+        other=another_path(rig, observations, poses, radius) if stays is None else None,
+        fixed=stays,
         landmarks=landmarks,
         times=times,
         max_rounds=ROUNDS,
