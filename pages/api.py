@@ -160,8 +160,8 @@ def _code(name: str, thing: Any) -> str:
 
 def _parameter(parameter: inspect.Parameter) -> str:
     """With its type and what it is unless somebody says otherwise."""
-    kinds = {inspect.Parameter.VAR_POSITIONAL: "*", inspect.Parameter.VAR_KEYWORD: "**"}
-    said = kinds.get(parameter.kind, "") + parameter.name
+    kinds: dict[Any, str] = {inspect.Parameter.VAR_POSITIONAL: "*", inspect.Parameter.VAR_KEYWORD: "**"}
+    said: str = kinds.get(parameter.kind, "") + parameter.name
     if parameter.annotation is not parameter.empty:
         said += f": {parameter.annotation if isinstance(parameter.annotation, str) else parameter.annotation.__name__}"
     if parameter.default is parameter.empty:
