@@ -24,6 +24,7 @@ from sylpose.adjustment.calibration import Moved, usual_doubt
 from sylpose.paper import bad_cameras, displacement, one_camera
 from sylpose.results import FramePose, FrameStatus, RotationEstimate, Status
 from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.units import FIRST_DISTANCES
 from tests.mutations import copied, mutations, same
 
 # By function, the most changes of each argument that are tried: what takes long is tried less often, by a seed.
@@ -55,6 +56,7 @@ ELSEWHERE = {
     "Session.told_in": "the same",
     "load_world": "reads a file: calibration/test_world.py",
     "LiveSession.frames": "the same",
+    "Trajectory.plot": "draws, which takes a second: test_told.py",
     "Trajectory.to_dataframe": "takes nothing, and needs pandas: exports/test_exports.py",
     "LiveSession.of": "the same",
     "LiveSession.with_rig": "the same",
@@ -307,6 +309,10 @@ def calls() -> dict[str, Call]:
         "KnownObject.in_frame": Call(
             sylpose.KnownObject(three, 0.1, "a", points, (), {}).in_frame,
             {"new_from_object": RigidTransform.identity(), "sd": np.ones(6), "said": "by hand"},
+        ),
+        "KnownObject.sized": Call(
+            sylpose.KnownObject(sylpose.Rig([camera], FIRST_DISTANCES), 0.1, "a", points, (), {}).sized,
+            {"factor": 2.0, "unit": "m", "sd": 0.1},
         ),
         "FrameSet.of": Call(frames[0].of, {"name": "a"}),
         "Box": Call(sylpose.Box, {"x": 1.0, "y": 2.0, "width": 3.0, "height": 4.0}),
