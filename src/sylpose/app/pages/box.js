@@ -32,14 +32,17 @@ async function ask(path, options) {
   return value;
 }
 
-let asking = false;
+let asking = null; // until all that changed is told
 let again = false;
 
-// One question at a time; what changed meanwhile is asked for afterwards.
-async function askHints() {
+function askHints() {
   again = true;
-  if (asking) return;
-  asking = true;
+  $("cameras").ariaBusy = "true";
+  asking ??= answered();
+}
+
+// One question at a time; what changed meanwhile is asked for afterwards.
+async function answered() {
   while (again) {
     again = false;
     const name = active;
@@ -51,7 +54,8 @@ async function askHints() {
     }
     draw();
   }
-  asking = false;
+  asking = null;
+  $("cameras").ariaBusy = "false";
 }
 
 // --- changing ---------------------------------------------------------------------------------------------------------
@@ -76,6 +80,16 @@ function put(camera, box) {
   remember();
   if (box) boxes[active][camera.name] = box;
   else delete boxes[active][camera.name];
+  changed();
+}
+
+// What is suggested by the boxes as they are now, which may be another box than is shown still; else the one given.
+async function take(some, otherwise) {
+  await asking;
+  const found = some.filter((c) => !boxes[active][c.name] && (told.boxes[c.name] ?? otherwise));
+  if (!found.length) return;
+  remember();
+  for (const { name } of found) boxes[active][name] = told.boxes[name] ?? otherwise;
   changed();
 }
 
@@ -155,7 +169,7 @@ function up(kept) {
   if (how === "pan") return;
   if (far) show(camera, before);
   if (kept && box) put(camera, box);
-  else if (kept && !far && suggested) put(camera, told.boxes[camera.name]);
+  else if (kept && !far && suggested) take([camera]);
   else if (kept && !far && object && object !== active) choose(object);
 }
 
@@ -195,7 +209,7 @@ function key(camera, event) {
     // Without a mouse a box begins in the middle.
     const { width: w, height: h } = camera;
     const middle = [Math.round(w / 3), Math.round(h / 3), Math.round(w / 3), Math.round(h / 3)];
-    if (!box) put(camera, told.boxes[camera.name] ?? middle);
+    take([camera], middle);
   } else if (event.key === "Escape") up(false);
   else if (event.key === "f" || event.key === "F") enlarge(camera);
   else if (event.key === "0") look(camera, [0, 0, camera.width, camera.height]);
@@ -472,7 +486,7 @@ async function save() {
   $("save").disabled = true;
   try {
     // With the boxes the command ends, and answers nothing more.
-    while (asking) await new Promise((done) => setTimeout(done, 20));
+    await asking;
     const { file, next } = await ask("boxes", { method: "POST", body: JSON.stringify(boxes) });
     written = JSON.stringify(boxes);
     $("file").textContent = `The boxes are in ${file}.`;
@@ -486,12 +500,7 @@ async function save() {
 
 $("save").addEventListener("click", save);
 $("undo").addEventListener("click", undo);
-$("take").addEventListener("click", () => {
-  remember();
-  for (const { name } of cameras) boxes[active][name] ??= told.boxes[name];
-  for (const { name } of cameras) if (!boxes[active][name]) delete boxes[active][name];
-  changed();
-});
+$("take").addEventListener("click", () => take(cameras));
 addEventListener("keydown", (event) => {
   if (!(event.ctrlKey || event.metaKey) || event.target.tagName === "INPUT") return;
   if (event.key === "z") undo();
