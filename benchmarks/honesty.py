@@ -115,9 +115,12 @@ def main() -> int:
         usual, usual_ok = usual + kind.regular * len(found), usual_ok + kind.regular * ok
     of_usual = usual_ok / usual if usual else 1.0
     kind_of_most = max(shares, key=lambda name: shares[name], default="none")
+    worst_kind = f"worst kind: {kind_of_most} ({shares.get(kind_of_most, 0.0):.1%})"
+    if not any(shares.values()):
+        worst_kind = "more than one in no kind"
     print(
         f"\n{all_wrong} of {scenes} wrong and sure ({1000 * all_wrong / max(scenes, 1):.2f} in 1,000); "
-        f"worst kind: {kind_of_most} ({shares.get(kind_of_most, 0.0):.1%}); {of_usual:.1%} of the usual ones OK; "
+        f"{worst_kind}; {of_usual:.1%} of the usual ones OK; "
         f"{time.perf_counter() - begun:.0f} s"
     )
     return int(all_wrong > MOST * scenes or shares.get(kind_of_most, 0.0) > MOST_OF_A_KIND or of_usual < LEAST_OK)
