@@ -61,6 +61,7 @@ class Kind:
         untold: nothing in the matches can tell that the answer is wrong.
         turned, displaced: one camera against its calibration, degrees and metres.
         copies: so many times each match is given, all matches or a random part of them.
+        size: so many times as large the known points are given as they are, of poses.
         lens: focal lengths and distances, times those of the ordinary scene.
     """
 
@@ -80,6 +81,7 @@ class Kind:
     turned: Span | None = None
     displaced: Span = (0.0, 0.0)
     copies: tuple[int, ...] = ()
+    size: Span | None = None
     lens: float = 1.0
 
 
@@ -176,6 +178,7 @@ POSES: dict[str, Kind] = {
     "pose, turned by 1 to 45": Kind(cameras=(3, 4), turned=(1.0, 45.0)),
     "pose, turned by 5 to 45, two cameras": Kind(cameras=TWO, rig="any", turned=(5.0, 45.0)),
     "pose, noise x 10": Kind(bodies=(*SOLID, *FLAT), cameras=(1, 2, 4), noise=10.0),
+    "pose, another size": Kind(bodies=(*SOLID, *FLAT), cameras=(2, 3, 4, 8), matches=(8, 80), size=(1e-3, 1e3)),
     "pose, copies": Kind(
         bodies=(*SOLID, *FLAT), cameras=(1, 2, 4), matches=(3, 20), copies=(2, 5, 20), outliers=(0.0, 0.5)
     ),
@@ -233,6 +236,7 @@ def _pose_problem(
     """Points of the body where each camera sees them, with noise in their pixels alone."""
     points, pixels = [], []
     share = rng.uniform(*kind.outliers)
+    size = 1.0 if kind.size is None else float(np.exp(rng.uniform(*np.log(kind.size))))
     for c, (camera, m, depth) in enumerate(zip(seen_by, pair.matches, pair.depths, strict=True)):
         kept = _kept(kind, len(m), rng)
         if kind.junk and c == bad:
@@ -244,7 +248,7 @@ def _pose_problem(
         if len(m):
             wrong = rng.permutation(len(m))[: round(share * len(m))]
             seen[wrong] = rng.uniform(seen.min(axis=0), seen.max(axis=0), (len(wrong), 2))
-        points.append(known[kept])
+        points.append(size * known[kept])
         pixels.append(seen[kept])
     return Problem(rig, (), tuple(points), tuple(pixels), (start,), radius, kind.turned is None)
 

@@ -54,7 +54,8 @@ class Motion(Told):
         residuals: (C,) per camera the rms epipolar residual of its inliers, pixels; NaN without inliers.
         method: the estimator that was used.
         iterations: of the solver.
-        faults: a sentence for each camera that is recognised to be at fault: its calibration, its matches or its image.
+        faults: a sentence for each camera that is recognised to be at fault: its calibration, its matches or its image;
+            of `estimate_pose`, one for points of another size.
         rival: of AMBIGUOUS, the other motion that explains the matches, or as many of them, about as well; else None.
         second: the number of matches of a second body that moves otherwise over that of this one; 0 where none was seen.
         standing: the share of the matches that stand still while the object moves by little.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import struct
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -94,6 +95,17 @@ def test_points_and_where_cameras_see_them(tmp_path: Path, rig_file: Path, capsy
     assert (out / "trajectory.csv").read_bytes() == first
     assert main([*asked, "--unit", "mm", "--is-in", "m"]) == 0
     np.testing.assert_allclose(solved(out).positions, 1000 * trajectory.positions, atol=1e-3)
+
+
+def test_a_model_in_another_unit_is_said(tmp_path: Path, rig_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pixels = table(tmp_path / "pixels.csv", rows())
+    asked = ["pose", str(points_file(tmp_path)), str(pixels), "--calibration", str(rig_file), "--out", str(tmp_path)]
+    assert main([*asked, "--is-in", "mm"]) == 1
+    assert not any(pose.seen for pose in solved(tmp_path))
+    # What was not found has no standard deviations.
+    lines = csv.DictReader((tmp_path / "trajectory.csv").open())
+    assert [line["rx_sd_deg"] + line["tx_sd"] for line in lines] == [""] * FRAMES
+    assert "if they were 1000 times as large: are they in another unit" in " ".join(capsys.readouterr().out.split())
 
 
 def test_each_frame_is_found_by_itself(tmp_path: Path, rig_file: Path) -> None:

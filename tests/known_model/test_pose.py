@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import cv2
@@ -321,6 +322,42 @@ def test_a_camera_turned_against_its_calibration_is_left_out() -> None:
     found = estimate_pose(rig, scene.points, scene.pixels)
     assert degrees_mm(scene.error(found))[0] < 0.3
     assert not found.inliers[0].any()
+
+
+@pytest.mark.parametrize("cameras", [2, 3, 8])
+@pytest.mark.parametrize("size", [1e-3, 0.6, 25.4, 1e3])
+@pytest.mark.parametrize("body", [BODY, BOARD])
+def test_points_of_another_size_are_no_pose_of_one_camera(cameras: int, size: float, body: simulate.Body) -> None:
+    """Each camera alone sees them at another distance; how many times as large they would have to be is said."""
+    scene = scene_of(rig_of(cameras), 11, 30, body=body)
+    found = estimate_pose(scene.rig, [size * points for points in scene.points], scene.pixels)
+    assert found.status is Status.NOT_CONSISTENT
+    (fault,) = found.faults
+    told = re.search(r"if they were (\S+) times as large", fault)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(1 / size, rel=0.05)
+
+
+def test_cameras_that_contradict_each_other_are_counted() -> None:
+    """Two that agree are believed more than two of which each says a pose of its own, and one no more than one."""
+
+    def turned(scene: Scene, degrees: dict[int, float]) -> Motion:
+        by = {c: RigidTransform.from_rotation(Rotation.from_rotvec([0, np.deg2rad(a), 0])) for c, a in degrees.items()}
+        cameras = [
+            replace(camera, camera_from_world=by[c] * camera.camera_from_world) if c in by else camera
+            for c, camera in enumerate(scene.rig)
+        ]
+        return estimate_pose(Rig(cameras), scene.points, scene.pixels)
+
+    four, two = scene_of(rig_of(4), 3), scene_of(rig_of(2), 3)
+    found = turned(four, {0: 10.0, 2: -20.0})
+    assert found.status is Status.OK
+    assert degrees_mm(four.error(found))[0] < 0.5
+    assert [bool(mask.any()) for mask in found.inliers] == [False, True, False, True]
+    assert turned(four, {0: 10.0, 2: -20.0, 3: 30.0}).status is Status.NOT_CONSISTENT
+    one = turned(two, {1: 10.0})
+    assert one.status is Status.NOT_CONSISTENT
+    assert not one.faults  # no size would help
 
 
 def on_a_line(n: int, points: int = 20) -> Scene:

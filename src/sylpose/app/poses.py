@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from itertools import pairwise
@@ -119,6 +120,9 @@ def pose_aloud(
             found = estimate_pose(rig, its.points, its.pixels, max_error_px=max_error_px, seed=seed)
             poses.append(frame_pose(found, its.number, its.time, np.array([len(p) for p in its.pixels], np.int64)))
             writer.write(poses[-1])
+    if faults := Counter(fault for pose in poses for fault in pose.faults):
+        fault, count = faults.most_common(1)[0]
+        text.print_warnings(console, [f"in {count} of {len(poses)} frames {fault}"])
     trajectory, picture = Trajectory(poses, rig.names, rig.unit), out / f"report.{plot_format}"
     looked = time.monotonic()
     if poses:

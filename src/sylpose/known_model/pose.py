@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from math import lgamma
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.known_model.pose_kernels import (
-    by_chance,
-    drawn_good,
-    fit,
-    information,
-    minimize,
-    score,
-    search,
-)
-from sylpose.known_model.pose_noise import CUTOFF, Noise
-from sylpose.known_model.pose_views import Views, agreeing, part_of, views_of
+from sylpose.known_model.pose_kernels import information, score
+from sylpose.known_model.pose_noise import CUTOFF
+from sylpose.known_model.pose_search import MIN_MATCHES, Pose, best_poses, by_luck, contradicted
+from sylpose.known_model.pose_size import other_size
+from sylpose.known_model.pose_views import Views, views_of
 from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.checked import finite_rows, items, kind_of, number, whole
 from sylpose.numerics.copies import distinct
@@ -34,44 +27,13 @@ from sylpose.rig import MAX_LENGTH, MAX_PX, Rig
 
 __all__ = ["estimate_pose"]
 
-
-# Three matches have several exact poses; the fourth decides (derived).
-MIN_MATCHES = 4
-# Samples: at least, at most, and the chance that none of them was free of outliers (choice).
-MIN_SAMPLES, MAX_SAMPLES, MISSED = 20, 3000, 1e-4
 LEAST_ERROR = 1e-9  # no noise is less, pixels (choice)
-# Poses are searched with at most so many matches, evenly from the cameras (choice).
-SEARCHED = 500
-# Poses that are followed, the steps that improve each, and the rounds of re-weighting (choice).
-KEPT, SEARCH_STEPS, ROUNDS = 6, 5, 50
-# A start that scores worse than the best by this factor and this many matches is not followed (choice).
-WORSE, WORSE_BY = 2.0, 3.0
-# Poses that differ by less than this angle are one (choice).
-SAME_TURN = 0.05
-# A pose counts as chance when random matches would show one as good more often than this (choice).
-BY_CHANCE = 0.01
-# A camera says the pose that so large a share of its matches agree with (choice: a majority).
-SAYS = 0.5
 # Usual noise is believed beforehand as if so many degrees of freedom had shown it: four matches, which leave two, may agree
 # by far better than they were measured; noise that is said as if so many had, an eighth of its size (choice).
 USUAL_FREEDOM, SAID_FREEDOM = 2.0, 30.0
 # Of two poses that explain the matches nearly equally well, the better is believed from these odds on (measured: of flat
 # models of 4 to 20 points before one camera that are OK, 1 in 250 is the mirror image; by odds of 3 1 in 20 is) (choice).
 CLEAR_ODDS = 20.0
-
-
-@dataclass(frozen=True, eq=False)
-class _Pose:
-    """A fitted pose: rotation and place in the kernels' terms, and what the fit says of itself."""
-
-    rotation: FloatArray
-    place: FloatArray
-    squares: FloatArray
-    weights: FloatArray
-    noise: Noise
-    rounds: int
-    freedom: float
-    settled: bool
 
 
 def estimate_pose(
@@ -105,7 +67,8 @@ def estimate_pose(
         `residuals` are reprojection errors.
         Fewer than four different matches give TOO_FEW_MATCHES; points on one line TURN_NOT_OBSERVABLE; a place that is
         less certain than half of its distance from the cameras SCALE_NOT_OBSERVABLE; matches that agree no better than
-        random ones, or cameras as many of which say another pose, NOT_CONSISTENT.
+        random ones, or cameras as many of which say another pose, NOT_CONSISTENT. Where the cameras would agree on points of
+        another size, as of another unit, `faults` says so.
 
     Raises:
         ValueError: not one array per camera; shapes that do not fit; values that are not finite, naming the camera; a
@@ -154,14 +117,22 @@ def estimate_pose(
     extent, axes = np.linalg.eigh(views.points.T @ views.points / len(model))
     if not extent[1] > 1e-12 * extent[2]:
         return _result(rig, counts, Status.TURN_NOT_OBSERVABLE, center, unseen=np.eye(6))
-    poses = _best_poses(views, top, axes[:, 0], np.random.default_rng(seed))
+    poses = best_poses(views, top, axes[:, 0], np.random.default_rng(seed))
     if not poses:
         return _result(rig, counts, Status.NOT_CONSISTENT, center)
     best = poses[0]
     status = Status.OK if best.settled else Status.NOT_CONVERGED
     every = bool(best.weights.all())
-    if not every and (_by_luck(views, best) or _contradicted(views, best, top, axes[:, 0], seed)):
+    faults: tuple[str, ...] = ()
+    if not every and by_luck(views, best):
         status = Status.NOT_CONSISTENT
+    elif not every and contradicted(views, best, top, axes[:, 0], seed):
+        status = Status.NOT_CONSISTENT
+        if (size := other_size(views, top, axes[:, 0], seed)) is not None:
+            times = np.format_float_positional(size, trim="-")
+            faults = (
+                f"the points would fit if they were {times} times as large: are they in another unit than the calibration?",
+            )
     seen = np.empty((6, 6))
     information(views, best.rotation, best.place, best.noise, seen)
     seen *= _as_believed(best, units.least)
@@ -172,10 +143,10 @@ def estimate_pose(
         unseen = weak * limits
         if len(weak):
             status = Status.TURN_NOT_OBSERVABLE if about_a_turn(weak) else Status.SCALE_NOT_OBSERVABLE
-        elif every and _by_luck(views, best):
+        elif every and by_luck(views, best):
             status = Status.NOT_CONSISTENT
     found = _result(rig, counts, status, center, best, origin, seen, unseen)
-    return replace(found, residuals=found.residuals / np.where(heard, units.per_px, 1.0))
+    return replace(found, residuals=found.residuals / np.where(heard, units.per_px, 1.0), faults=faults)
 
 
 def _enough(model: FloatArray, camera: IntArray) -> bool:
@@ -188,146 +159,12 @@ def _enough(model: FloatArray, camera: IntArray) -> bool:
     return False
 
 
-def _best_poses(views: Views, top: float, thin: FloatArray, rng: np.random.Generator) -> list[_Pose]:
-    """Search, follow the best distinct poses, fit the best two to all matches; best first.
-
-    Args:
-        top: squared distance beyond which a match is wrong.
-        thin: (3,) the direction in which the model extends least.
-    """
-    few = _subset(views, rng)
-    rotations, places, scores = np.zeros((KEPT, 3, 3)), np.zeros((KEPT, 3)), np.full(KEPT + 1, np.inf)
-    done, wanted = 0, MIN_SAMPLES
-    while done < wanted:
-        draws = rng.random((min(wanted - done, 200), 6))
-        search(few, draws, top, SEARCH_STEPS, rotations, places, scores)
-        done += len(draws)
-        wanted = _samples(few, rotations[0], places[0], top) if scores[0] < np.inf else MAX_SAMPLES
-    starts = [(rotations[k], places[k]) for k in range(KEPT) if scores[k] < np.inf]
-    if not starts:
-        return []
-    mirrored = _mirrored(*starts[0], thin)
-    minimize(few, *mirrored, _largest_noise(views, top), 10, 1e-3)
-    poses: list[_Pose] = []
-    for rotation, place in [*starts, mirrored]:
-        if score(few, rotation, place, top, np.inf) > WORSE * scores[0] + WORSE_BY or _known(poses, rotation):
-            continue
-        pose = _fitted(few, rotation, place, top)
-        if pose is not None and not _known(poses, pose.rotation):
-            poses.append(pose)
-    poses = _best_first(few, poses)
-    if few is not views:
-        fitted = [_fitted(views, pose.rotation, pose.place, top) for pose in poses[:2]]
-        poses = _best_first(views, [pose for pose in fitted if pose is not None])
-    return poses
-
-
-def _best_first(views: Views, poses: list[_Pose]) -> list[_Pose]:
-    return sorted(poses, key=lambda pose: _log_chance(views, pose)) if len(poses) > 1 else poses
-
-
-def _subset(views: Views, rng: np.random.Generator) -> Views:
-    """At most about `SEARCHED` of the matches, as many of each camera as it has, up to the same number."""
-    counts = np.diff(views.start)
-    if counts.sum() <= SEARCHED:
-        return views
-    # Cameras with few matches leave their share to the others.
-    quota = SEARCHED // len(counts)
-    for _ in range(3):
-        open_ = counts > quota
-        if not open_.any():
-            break
-        quota = max(1, int((SEARCHED - counts[~open_].sum()) // open_.sum()))
-    picked = [
-        first + (np.arange(n) if n <= quota else rng.choice(n, quota, replace=False))
-        for first, n in zip(views.start[:-1], counts, strict=True)
-    ]
-    start = np.concatenate([[0], np.cumsum([len(p) for p in picked])])
-    every = np.concatenate(picked)
-    return views._replace(
-        points=views.points[every], images=views.images[every], to_pixels=views.to_pixels[every], start=start
-    )
-
-
-def _samples(views: Views, rotation: FloatArray, place: FloatArray, top: float) -> int:
-    """How many samples it takes that one, but for a chance of `MISSED`, is free of outliers."""
-    share = drawn_good(views, rotation, place, top)
-    if share >= 1.0:
-        return MIN_SAMPLES
-    return int(np.clip(np.log(MISSED) / np.log1p(-max(share, 1e-9)), MIN_SAMPLES, MAX_SAMPLES))
-
-
-def _mirrored(rotation: FloatArray, place: FloatArray, thin: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The pose that looks most alike from the cameras' middle, which is the world's origin: a flat object tilted the other
-    way. A half turn about its normal, then one about the line of sight, leave its scaled orthographic image as it was."""
-    sight = place / max(float(np.linalg.norm(place)), 1e-300)
-    half_turns = [2.0 * np.outer(axis, axis) - np.eye(3) for axis in (sight, thin)]
-    return half_turns[0] @ rotation @ half_turns[1], place.copy()
-
-
-def _known(poses: Sequence[_Pose], rotation: FloatArray) -> bool:
-    return any(np.linalg.norm(rotation - pose.rotation) < np.sqrt(2.0) * SAME_TURN for pose in poses)
-
-
-def _largest_noise(views: Views, top: float) -> Noise:
-    """The same in all cameras: what the largest cutoff allows."""
-    return Noise(np.full(len(views.turns), top / CUTOFF**2), np.full(len(views.turns), top))
-
-
-def _fitted(views: Views, rotation: FloatArray, place: FloatArray, top: float) -> _Pose | None:
-    """The robust fit from a start; None where fewer than `MIN_MATCHES` matches are left."""
-    rotation, place = rotation.copy(), place.copy()
-    squares, weights, noise = np.empty(len(views.points)), np.zeros(len(views.points)), _largest_noise(views, top)
-    rounds, freedom, settled = fit(views, rotation, place, top, ROUNDS, 1, squares, weights, noise)
-    if np.count_nonzero(weights) < MIN_MATCHES:
-        return None
-    return _Pose(rotation, place, squares, weights, noise, rounds, freedom, settled)
-
-
-def _log_chance(views: Views, pose: _Pose) -> float:
-    """The logarithm of how many poses as good as this one random matches would show, at most.
-
-    A random match agrees with the share of the object's image that a circle of `CUTOFF` sigma covers; the agreeing
-    matches, and the three among them that determine the pose, may be chosen. This weighs the number of matches that agree
-    against how well they do: of poses of the same data the one with the least is the best.
-
-    Source: Moisan & Stival, a contrario RANSAC, 2004.
-    """
-    n, (k, log_share) = len(pose.weights), by_chance(views, pose.place, pose.weights, pose.noise)
-    choices = lgamma(n + 1) - lgamma(n - k + 1) - lgamma(4) - lgamma(k - 2)
-    return float(np.log(n) + choices + (k - 3) / k * log_share)
-
-
-def _by_luck(views: Views, pose: _Pose) -> bool:
-    """Whether random matches might show a pose as good. Where all matches agree there is no choice that chance could have
-    made, and it is those that a pose does not satisfy anyway that must agree."""
-    if not pose.weights.all():
-        return bool(_log_chance(views, pose) > np.log(BY_CHANCE))
-    k, log_share = by_chance(views, pose.place, pose.weights, pose.noise)
-    return bool((k - 3) / k * log_share > np.log(BY_CHANCE))
-
-
-def _contradicted(views: Views, pose: _Pose, top: float, thin: FloatArray, seed: int) -> bool:
-    """Whether as many cameras say another pose, by which none is to be believed more: of two, that one is turned against its
-    calibration. Cameras of wrong matches say none."""
-    agree, counts = agreeing(views, pose.weights), np.diff(views.start)
-    contrary = agree < SAYS * counts
-    if 2 * contrary.sum() < len(agree) or (counts - agree)[contrary].max() < MIN_MATCHES:
-        return False
-    others, some = part_of(views, (pose.weights == 0.0) & np.repeat(contrary, counts))
-    poses = _best_poses(others, top, thin, np.random.default_rng(seed))
-    if not poses or _by_luck(others, poses[0]):
-        return False
-    instead = agreeing(others, poses[0].weights) > agree[some]
-    return 2 * int(instead.sum()) >= len(agree)
-
-
 def _beforehand(said: float) -> tuple[float, float]:
     """The noise that is believed before the matches show it, pixels, and as if by how many degrees of freedom."""
     return (said, SAID_FREEDOM) if said > 0.0 else (USUAL_PX, USUAL_FREEDOM)
 
 
-def _as_believed(pose: _Pose, said: float) -> float:
+def _as_believed(pose: Pose, said: float) -> float:
     """What is left of a pose's information as its noise is itself estimated, so that the covariance is that of Student's
     distribution, and where it is less than what is believed of noise; `said` is the noise that is known, pixels, or 0."""
     believed, freedom = _beforehand(said)
@@ -336,14 +173,14 @@ def _as_believed(pose: _Pose, said: float) -> float:
     return max(known - 2.0, 0.5) / known * min(less, 1.0)
 
 
-def _limits(views: Views, pose: _Pose) -> FloatArray:
+def _limits(views: Views, pose: Pose) -> FloatArray:
     """(6,) standard deviations beyond which (w, d) have not been seen: a turn, and half of the distance."""
     centers = -np.einsum("cij,ci->cj", views.turns, views.shifts)
     distance = float(np.linalg.norm(centers - pose.place, axis=1).min())
     return np.array([UNSEEN_TURN] * 3 + [UNSEEN_SHARE * distance] * 3)
 
 
-def _unseen(views: Views, poses: Sequence[_Pose], seen: FloatArray, limits: FloatArray, said: float) -> FloatArray:
+def _unseen(views: Views, poses: Sequence[Pose], seen: FloatArray, limits: FloatArray, said: float) -> FloatArray:
     """The directions (k, 6) of (w, d) that are known to less than the limits, in units of these; or the one to another pose,
     turned by more, that explains the matches about as well."""
     best = poses[0]
@@ -366,7 +203,7 @@ def _result(
     counts: IntArray,
     status: Status,
     center: FloatArray,
-    pose: _Pose | None = None,
+    pose: Pose | None = None,
     origin: FloatArray | None = None,
     seen: FloatArray | None = None,
     unseen: FloatArray | None = None,

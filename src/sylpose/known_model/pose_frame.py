@@ -27,16 +27,18 @@ def frame_pose(found: Motion, index: int, time: float, matches: IntArray) -> Fra
         matches: (C,) points that each camera sees.
     """
     status = _STATUS.get(found.status, FrameStatus.NO_POSE)
+    placed = found.motion is not None and status.has_pose
     center = RigidTransform.from_translation(np.nan_to_num(found.center))
     pose = FramePose(
         index,
         time,
         status,
-        None if found.motion is None or not status.has_pose else found.motion * center,
-        found.covariance,
+        found.motion * center if found.motion is not None and placed else None,
+        found.covariance if placed else np.full((6, 6), np.nan),
         found.n_inliers,
         found.residuals,
         Observable.NO_SCALE if found.status is Status.SCALE_NOT_OBSERVABLE else Observable.ALL,
+        faults=found.faults,
         matches=matches,
         reason=""
         if status.has_pose
