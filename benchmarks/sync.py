@@ -59,7 +59,7 @@ KINDS = {
     "fast": Kind(turn_deg=360.0),
     "blurred": Kind(turn_deg=200.0, exposure=0.5),
     "slow": Kind(turn_deg=25.0),
-    "steady": Kind(uneven=0.0),
+    "even": Kind(uneven=0.0),
 }
 
 

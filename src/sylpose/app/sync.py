@@ -39,7 +39,7 @@ TRACKED, ROUNDS, SETTLED = 600, 4, 1e-4
 AGAIN = 0.75
 # Followed features are three times as exact as those found anew in every frame, for a third of the time; but their errors go
 # along with the motion, by about so many pixels, as if the camera were late (measured: benchmarks/sync.py).
-FEATURES, ALONG_PX = "klt", 0.005
+FEATURES, ALONG_PX = "klt", 0.01
 # What is believed of the offsets before each round, frames; and what a camera's must be known to, to count as found
 # (choice: whole frames are known by then; docs/sync.md promises a twentieth).
 BELIEF, FOUND = 0.5, 0.05
