@@ -113,7 +113,7 @@ def sync_session(
     """Estimate how far apart in time a session's cameras are.
 
     First to about a frame, from how the speed of each camera's pictures changes; then from the object, tracked with
-    these offsets, its poses, places of its features and the offsets refined together; again with the offsets found.
+    these offsets, its poses, places of its features and the offsets refined together, until these settle.
 
     Args:
         session: of `open_session`; of several objects, the first is tracked.
