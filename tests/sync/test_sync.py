@@ -274,7 +274,9 @@ def test_the_speed_of_what_is_tracked() -> None:
         places = np.column_stack([x, np.zeros(2)]) / 350.0
         own = Sightings(np.array([7, round(100 * time)]), places, np.zeros((2, 3)), np.ones(2, bool))
         none = Sightings(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0, bool))
-        pose = FramePose(0, time, FrameStatus.TOO_FEW_MATCHES, None, np.zeros((6, 6)), np.zeros(2, np.int64), np.zeros(2))
+        pose = FramePose(
+            0, time, FrameStatus.TOO_FEW_MATCHES, None, np.zeros((6, 6)), np.zeros(2, np.int64), np.zeros(2)
+        )
         return Track(pose, (own, none), np.zeros(2), 0.1)
 
     # By 3 pixels in a tenth of a second, then by 8 in two tenths.
