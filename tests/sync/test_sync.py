@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,9 +18,13 @@ from sylpose.app import sync as app_sync
 from sylpose.app.sync import Known, sync_aloud, sync_session, write_offsets
 from sylpose.capture import Session, open_session
 from sylpose.numerics.arrays import FloatArray
+from sylpose.results import FramePose, FrameStatus, Status
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
+from sylpose.smoothing.trajectory import Smoothed, Track
 from sylpose.sync.offsets import load_offsets, retimed
 from sylpose.sync.pulses import Pulse, coarse_offsets, image_speed, small_grey, split_offsets
+from sylpose.tracking.tracked_frame import Sightings
+from sylpose.tracking.tracker import track
 
 RATE = 30.0
 CAMERAS = ("cam_0", "cam_1", "cam_2")
@@ -201,8 +205,10 @@ def test_offsets_are_found_from_end_to_end(
 ) -> None:
     # Speeds are told apart in all frames; for the rest two parts do.
     monkeypatch.setattr(app_sync, "TRACKED", 24)
+    times_tracked = counted(monkeypatch, track)
     found = sync_aloud(open_session(recording))
     assert found.tracked == 24
+    assert len(times_tracked) == 1
     true = LATE - LATE.mean()
     assert found.known == (Known.FINE,) * 3
     assert not found.problems
@@ -214,6 +220,69 @@ def test_offsets_are_found_from_end_to_end(
     assert str(recording / "offsets.toml") in out
     written = load_offsets(recording / "offsets.toml", CAMERAS)
     assert [written[name] for name in CAMERAS] == pytest.approx(found.offsets.tolist(), abs=1e-6)
+
+
+def counted(monkeypatch: pytest.MonkeyPatch, tracking: Callable[..., object]) -> list[int]:
+    """Grows by one each time that the object is tracked, which is done like this."""
+    times: list[int] = []
+
+    def tracked(*args: object, **kwargs: object) -> object:
+        times.append(len(times))
+        return tracking(*args, **kwargs)
+
+    monkeypatch.setattr(app_sync, "track", tracked)
+    return times
+
+
+@pytest.mark.parametrize(
+    ("changes", "times", "settles"),
+    [
+        ([0.45, 0.0], 1, True),
+        ([0.4, 0.01, 0.0], 1, True),
+        ([0.9, 0.01, 0.0], 2, True),
+        ([0.4, 0.4, 0.001, 0.0], 2, True),
+        ([0.9, 0.9, 0.9, 0.9], 4, False),
+    ],
+)
+def test_it_is_tracked_again_where_other_frames_belong_together(
+    recording: Path, monkeypatch: pytest.MonkeyPatch, changes: list[float], times: int, settles: bool
+) -> None:
+    rest, sd = iter(changes), np.full(3, 0.002 / RATE)
+
+    def smoothed(*_: object, offsets_sd: float | None = None) -> Smoothed:
+        change = 0.0 if offsets_sd is None else next(rest)
+        return Smoothed((), Status.OK, change / RATE * np.array([1.0, -1.0, 0.0]), sd, np.ones(3), 3)
+
+    times_tracked = counted(monkeypatch, lambda *_, **__: iter(()))
+    monkeypatch.setattr(app_sync, "smooth", smoothed)
+    monkeypatch.setattr(app_sync, "_speeds", lambda *_: np.full(3, 300.0))
+    found = sync_session(open_session(recording))
+    assert len(times_tracked) == times
+    assert found.known == (Known.FINE,) * 3
+    assert found.problems == (() if settles else ("The offsets still change after 4 rounds.",))
+    apart = found.offsets - np.array([1.0, -1.0, 0.0]) * sum(changes) / RATE
+    assert apart * RATE == pytest.approx(np.round(apart * RATE - apart[2] * RATE) + apart[2] * RATE, abs=1e-6)
+    # Of followed features' errors a hundredth of a pixel goes along with the motion.
+    assert found.sd == pytest.approx(np.hypot(sd, app_sync.ALONG_PX / 300.0))
+
+
+def test_the_speed_of_what_is_tracked() -> None:
+    rig = arc(2, 40, 1.5, 350, (320, 240))
+
+    def seen(time: float, x: Sequence[float]) -> Track:
+        # The first camera's landmark 7, and another one in each frame; the second camera sees nothing.
+        places = np.column_stack([x, np.zeros(2)]) / 350.0
+        own = Sightings(np.array([7, round(100 * time)]), places, np.zeros((2, 3)), np.ones(2, bool))
+        none = Sightings(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0, bool))
+        pose = FramePose(
+            0, time, FrameStatus.TOO_FEW_MATCHES, None, np.zeros((6, 6)), np.zeros(2, np.int64), np.zeros(2)
+        )
+        return Track(pose, (own, none), np.zeros(2), 0.1)
+
+    # By 3 pixels in a tenth of a second, then by 8 in two tenths.
+    found = app_sync._speeds([seen(0.1, [1, 50]), seen(0.2, [4, 90]), seen(0.4, [12, 0])], rig)
+    assert found[0] == pytest.approx(np.sqrt((30**2 + 40**2) / 3), rel=1e-6)
+    assert found[1] < 1e-5
 
 
 def test_a_steady_motion_shows_nothing(

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.adjustment.elimination import Reduced, reduce, substitute
 from sylpose.adjustment.kernels import BEHIND_PX, DEPTH, OFFSET, SHIFT, TURN, Sightings, Views, residuals
+from sylpose.adjustment.motion import exact_motion, motion, speed_noise
 from sylpose.adjustment.rays import where_rays_meet
 from sylpose.adjustment.relief import without_noise
 from sylpose.adjustment.shared import Shared
@@ -292,14 +293,12 @@ class Problem:
 
         Speeds are differences of estimated poses, and their noise looks like a motion that is not uniform. A frame's six
         unknowns are its cameras' information's inverse: so, whatever the noise, each of C cameras seems to learn
-        6 / C (1 - 1 / C) times the variance of a difference of two poses, per frame.
+        6 / C (1 - 1 / C) times the variance of its speed, in those of its poses.
         """
         n = self.shared.n_offsets
         out = solver.shared_covariance(excess)
         if n:
-            gap, share = np.gradient(self.times), 1.0 / (n + 1)
-            noise = 0.5 / gap**2
-            noise[[0, -1]] *= 13.0  # at the ends, of three poses from one side
+            noise, share = speed_noise(self.times), 1.0 / (n + 1)
             variance = float((self.shared.spread[:, OFFSET, :n] ** 2).sum()) / n
             seeming = 1.0 + 6.0 * share * (1.0 - share) * float(noise.sum()) * variance
             told = np.linalg.inv(solver.shared_covariance()[:n, :n]) - seeming * np.eye(n)
@@ -337,7 +336,8 @@ class Problem:
         """The state with the derivatives by time of its own poses."""
         if not self.timed:
             return state
-        return replace(state, motion=_motion(state.turns, state.places, self.times))
+        of = exact_motion if self.shared.n_offsets else motion
+        return replace(state, motion=of(state.turns, state.places, self.times))
 
     def _change(self, state: State) -> FloatArray:
         """(N, 6) of (w, d) since the start."""
@@ -358,23 +358,3 @@ def _log_slope(w: FloatArray) -> FloatArray:
     factor = np.where(small, 1.0 / 12.0, (1.0 - 0.5 * a / np.tan(0.5 * a)) / a**2)
     cross = np.cross(w[:, None, :], np.eye(3)).transpose(0, 2, 1)
     return np.asarray(np.eye(3) - 0.5 * cross + factor[:, None, None] * (cross @ cross))
-
-
-def _motion(turns: FloatArray, places: FloatArray, times: FloatArray) -> FloatArray:
-    """(N, 2, 6) first and second derivatives of the poses by time, from parabolas through three neighbours."""
-    out = np.zeros((len(times), 2, 6))
-    if len(times) < 2:
-        return out
-    gap = np.diff(times)[:, None]
-    turn = Rotation.from_matrix(turns[1:] @ turns[:-1].transpose(0, 2, 1)).as_rotvec()
-    speed = np.hstack([turn, np.diff(places, axis=0)]) / gap
-    if len(times) == 2:
-        out[:, 0] = speed
-        return out
-    before, after = gap[:-1], gap[1:]
-    out[1:-1, 0] = (after * speed[:-1] + before * speed[1:]) / (before + after)
-    out[1:-1, 1] = 2.0 * (speed[1:] - speed[:-1]) / (before + after)
-    out[0, 1], out[-1, 1] = out[1, 1], out[-2, 1]
-    out[0, 0] = out[1, 0] - gap[0] * out[1, 1]
-    out[-1, 0] = out[-2, 0] + gap[-1] * out[-2, 1]
-    return out

@@ -34,11 +34,12 @@ MAX_LAG = 3.0
 # The object is tracked for so many frames at most, so many times, until no offset changes by so much (seconds), or by
 # more than its standard deviation (choice: 20 s at 30 per second; what moves by 1000 px/s moves by 0.1 px in it).
 TRACKED, ROUNDS, SETTLED = 600, 4, 1e-4
-# It is tracked again once an offset has changed by so many frames since: less changes nothing in which of its features are
-# matched (choice).
-AGAIN = 0.1
-# SIFT: matched anew in every frame, its errors do not go along with the motion as those of followed features do.
-FEATURES = "sift"
+# It is tracked again only where other frames belong together than was thought, an offset having changed by so many frames
+# since: tracked with offsets that are off by half a frame, it tells the same of them (measured: benchmarks/sync.py).
+AGAIN = 0.75
+# Followed features are three times as exact as those found anew in every frame, for a third of the time; but their errors go
+# along with the motion, by about so many pixels, as if the camera were late (measured: benchmarks/sync.py).
+FEATURES, ALONG_PX = "klt", 0.01
 # What is believed of the offsets before each round, frames; and what a camera's must be known to, to count as found
 # (choice: whole frames are known by then; docs/sync.md promises a twentieth).
 BELIEF, FOUND = 0.5, 0.05
@@ -112,7 +113,7 @@ def sync_session(
     """Estimate how far apart in time a session's cameras are.
 
     First to about a frame, from how the speed of each camera's pictures changes; then from the object, tracked with
-    these offsets, its poses, places of its features and the offsets refined together; again with the offsets found.
+    these offsets, its poses, places of its features and the offsets refined together, until these settle.
 
     Args:
         session: of `open_session`; of several objects, the first is tracked.
@@ -159,11 +160,11 @@ def sync_session(
         if k == 0:
             before = smooth(tracks, moved.rig).sigma_px
         after = found.sigma_px
-        sd = found.offsets_sd * _disagreement(tracks, moved.rig, BELIEF / rate)
-        offsets = offsets + found.offsets
+        offsets, sd = offsets + found.offsets, found.offsets_sd
         settled = bool((np.abs(found.offsets) < np.maximum(SETTLED, sd)).all())
         if settled:
             break
+    sd = np.hypot(sd * _disagreement(tracks, one.rig, BELIEF / rate), ALONG_PX / _speeds(tracks, one.rig))
     fine = sd < FOUND / rate
     if fine.sum() < 2:  # an offset is one from another camera
         fine[:] = False
@@ -205,6 +206,19 @@ def _disagreement(tracks: Sequence[Track], rig: Rig, belief: float) -> float:
     # The offsets' mean is 0: one camera's follows from the others'.
     freedom = (len(parts) - 1) * (len(rig) - 1)
     return float(np.sqrt(max((((values - mean) / sds) ** 2).sum() / freedom, 1.0)))
+
+
+def _speeds(tracks: Sequence[Track], rig: Rig) -> FloatArray:
+    """(C,) how fast the object moves in each camera's images, pixels per second (root of the mean square); where it was not
+    seen to move, next to nothing."""
+    squares, counts = np.full(len(rig), 1e-12), np.ones(len(rig))
+    for before, now in pairwise(tracks):
+        for c, (there, here) in enumerate(zip(before.sightings, now.sightings, strict=True)):
+            _, i, j = np.intersect1d(there.landmark, here.landmark, return_indices=True)
+            moved = rig.cameras[c].focal * (here.normalized[j] - there.normalized[i])
+            squares[c] += np.sum((moved / (now.pose.time - before.pose.time)) ** 2)
+            counts[c] += len(i)
+    return np.asarray(np.sqrt(squares / counts))
 
 
 def _pulses(
