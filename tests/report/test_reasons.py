@@ -11,9 +11,9 @@ from sylpose.results import FramePose, FrameStatus, Trajectory
 
 def nothing(reasons: list[str]) -> Trajectory:
     none = np.full((6, 6), np.nan)
-    zero = np.zeros(1)
+    zero, none_of = np.zeros(1), np.zeros(1, np.int64)
     frames = [
-        FramePose(k, k, FrameStatus.LOST, None, none, zero, zero, reason=reason) for k, reason in enumerate(reasons)
+        FramePose(k, k, FrameStatus.LOST, None, none, none_of, zero, reason=reason) for k, reason in enumerate(reasons)
     ]
     return Trajectory(frames, ["cam_0"])
 

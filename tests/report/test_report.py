@@ -558,7 +558,7 @@ def test_an_overlay_says_what_it_is_of_in_its_head(tmp_path: Path) -> None:
         with OverlayWriter(tmp_path / "o.mp4", rig, 10.0, note=note) as writer:
             drawn.append(np.split(writer.draw(blank(rig), CENTERED, [None] * 3, 0.3), [writer._layout.bar]))
     (head, below), (noted, below_it) = drawn
-    assert n_painted(noted, overlay.GREY, 20) > n_painted(head, overlay.GREY, 20) + 30
+    assert n_painted(noted, drawing.GREY, 20) > n_painted(head, drawing.GREY, 20) + 30
     np.testing.assert_array_equal(below, below_it)
 
 

@@ -1,4 +1,4 @@
-/* sources dbc9c0eec00fbe2057f054f4a18aedc97d3f19511a1884e57dd3c7b4008f276c
+/* sources 6d1932134e49a7250b97ec0becfbabc2117e0bffba46b7ab75500afa2fa77b43
 
 report.js and report.css contain:
 
