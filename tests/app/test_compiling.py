@@ -79,8 +79,10 @@ def test_one_core_compiles_in_one_process(installed: list[str], monkeypatch: pyt
 def test_it_is_said_that_it_compiles_for_how_long_and_where_it_is_kept(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kept: bool
 ) -> None:
+    monkeypatch.setattr(kernel_cache, "_said", set())
     if not kept:
         monkeypatch.setattr(compiling, "kept_in", lambda: None)
+    compiling.compile_aloud(make_console())
     compiling.compile_aloud(make_console())
     (line,) = capsys.readouterr().out.splitlines()
     assert line.startswith("Compiling for one to two minutes, ")
@@ -88,6 +90,17 @@ def test_it_is_said_that_it_compiles_for_how_long_and_where_it_is_kept(
     if not kept:
         wanted = "at every start; no folder can be written to keep it in, NUMBA_CACHE_DIR=FOLDER names one."
     assert line.endswith(wanted)
+
+
+@pytest.mark.usefixtures("installed")
+def test_it_is_not_said_again_where_a_kernel_has_said_it(
+    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernel_cache, "_said", set())
+    kernel_cache._announce(Path("kernels"))
+    compiling.compile_aloud(make_console())
+    assert [record.getMessage()[:17] for record in caplog.records] == ["sylpose compiles "]
+    assert capsys.readouterr().out == ""
 
 
 def test_nothing_is_said_where_it_has_been_done(capsys: pytest.CaptureFixture[str]) -> None:

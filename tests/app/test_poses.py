@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import struct
+import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -14,9 +15,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose import calibration
 from sylpose.app.pixel_files import load_pixels
 from sylpose.app.point_files import load_points
+from sylpose.app.poses import pose_aloud
+from sylpose.app.record import SETTINGS, USED
+from sylpose.app.recorded import recording_of
+from sylpose.app.report import _images_again
+from sylpose.app.show import read_scenes
 from sylpose.boards.specification import parse_board
 from sylpose.cli import main
 from sylpose.report.files import read_trajectory, read_tum
+from sylpose.report.page import page_of
 from sylpose.results import FrameStatus, Observable, Trajectory
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
@@ -267,6 +274,57 @@ def test_markers_are_found_in_a_recording(cube: Path, tmp_path: Path) -> None:
     some = solved(tmp_path / "mm")
     assert [pose.index for pose in some] == [1, 3, 5]
     np.testing.assert_allclose(some.positions, trajectory.positions[1::2], atol=1e-9)
+
+
+def test_a_result_of_a_recording_is_shown_and_reported_as_any_other(
+    cube: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sylpose.report.page.page_of", page_of)  # drawn
+    model, out = layout(tmp_path), tmp_path / "out"
+    asked = ["pose", str(model), str(cube), "--out", str(out)]
+    assert main([*asked, "--every", "2"]) == 0
+    files = {"trajectory.tum", "trajectory.csv", "report.png", "report.html", SETTINGS, USED}
+    assert {file.name for file in out.iterdir()} == files
+    said = tomllib.loads((out / SETTINGS).read_text(encoding="utf-8"))
+    assert (said["recording"], said["options"]["model"]) == (str(cube.resolve()), str(model.resolve()))
+    assert (said["options"]["every"], said["options"]["unit"], said["rate"]) == (2, "m", pytest.approx(30))
+    again = recording_of(out)
+    assert (again.rig.names, again.n_frames) == (RIG.names, 6)
+    assert read_scenes(out)[""].index.tolist() == [0, 2, 4]
+    # With the images of the page, and of the recording.
+    for remove in (False, True):
+        if remove:
+            (out / "report.html").unlink()
+        stills, why = _images_again(out)
+        assert (stills.index.tolist(), why) == ([0, 2, 4], "")
+        assert all(image is not None for images in stills.images for image in images)
+        assert main(["report", str(out)]) == 0
+    # Another one of its kind takes its place, whole; one that fails before its first frame leaves it.
+    assert main([*asked, "--stop", "2"]) == 0
+    assert {file.name for file in out.iterdir()} == files
+    assert len(solved(out)) == 2
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sylpose.app.poses.markers_in", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            pose_aloud(model, [cube], out, likelihood=0.6)
+    assert len(solved(out)) == 2
+    assert {file.name for file in out.iterdir()} == files
+
+
+def test_a_result_of_tables_says_which(tmp_path: Path, rig_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sylpose.report.page.page_of", page_of)  # drawn
+    its, out = rows(), tmp_path / "out"
+    pixels = table(tmp_path / "pixels.csv", [*its, ("cam_0", 0, "strange", 5, 5)])
+    asked = ["pose", str(points_file(tmp_path)), str(pixels), "--calibration", str(rig_file), "--out", str(out)]
+    assert main(asked) == 0
+    said = tomllib.loads((out / SETTINGS).read_text(encoding="utf-8"))
+    assert said["tables"] == [str(pixels.resolve())]
+    assert said["noticed"] == ["1 point of the tables is not known on the object: strange"]
+    assert len(said["checksums"][str(pixels.resolve())]) == 32
+    assert main(["report", str(out)]) == 0
+    assert len(read_scenes(out)[""].index) == FRAMES
+    with pytest.raises(ValueError, match=r"tables of pixels: there is no recording"):
+        recording_of(out)
 
 
 def test_markers_that_look_inwards_are_said(cube: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

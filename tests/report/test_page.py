@@ -25,7 +25,7 @@ from sylpose.report import page_data
 from sylpose.report.files import write_trajectory
 from sylpose.report.page import ASSETS, Head, page_of
 from sylpose.report.page_data import GRAIN, MOST_BYTES, NOWHERE, data_of, images_of, shown_frames
-from sylpose.report.scene import Scene, Stills, scene_of
+from sylpose.report.scene import GRID, Scene, Stills, scene_of
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Rig, camera_at
 from tests.browser import Opened, opened
@@ -310,10 +310,70 @@ def test_it_is_as_wide_as_a_telephone(browser: Browser, found: Path) -> None:
         assert its.errors == []
 
 
+@pytest.mark.parametrize("size", [(1300, 900), (1366, 700), (360, 740)])
+def test_the_player_covers_nothing_that_it_moves(browser: Browser, found: Path, size: tuple[int, int]) -> None:
+    """Wherever the page is scrolled to; on a telephone, whatever is above the images scrolls away beneath it."""
+    with opened(browser, found.as_uri(), viewport={"width": size[0], "height": size[1]}) as its:
+        height = its.page.evaluate("() => document.documentElement.scrollHeight")
+        stuck = False
+        for y in range(0, height - size[1], 90):
+            its.page.evaluate("y => window.scrollTo(0, y)", y)
+            player, view, images = (
+                its.page.evaluate("name => document.querySelector(name).getBoundingClientRect().toJSON()", name)
+                for name in (".transport", "#view", "#images")
+            )
+            assert player["top"] >= view["bottom"]
+            if size[0] > 980:
+                assert player["top"] >= images["bottom"]
+                assert images["bottom"] == view["bottom"]
+            stuck |= player["top"] == 6
+            assert player["top"] >= 6  # it is never out of reach once it has been seen
+        assert stuck
+
+
+def test_the_view_is_from_where_images_hide_nothing(browser: Browser, tmp_path: Path) -> None:
+    """An image that stands in the usual line of sight makes it another one."""
+    its, cameras = trajectory(), rig()
+    scene = scene_of(its, cameras, stills=stills())
+    right, ahead, up = scene.axes
+    usual = 0.36 * right - 0.8 * ahead + 0.88 * up
+    usual /= np.linalg.norm(usual)
+    across = np.cross(usual, right) / np.linalg.norm(np.cross(usual, right))
+    plane = np.stack(np.meshgrid(*[np.linspace(-2, 2, GRID)] * 2), axis=-1) @ [np.cross(across, usual), across]
+    sheets = scene.sheets.copy()
+    sheets[0] = its.positions[its.solved].mean(axis=0) + scene.axis_length * (3 * usual + plane)
+    page = page_of(its, replace(scene, sheets=sheets), cameras, PAN_TILT_ROLL, Head("a", "1"))
+    (tmp_path / "page.html").write_text(page, encoding="utf-8")
+    with opened(browser, (tmp_path / "page.html").as_uri()) as shown:
+        assert shown.state("hidden") == [0]
+        shown.page.get_by_label("Look").select_option("at the object")
+        assert shown.state("hidden") == [0]
+        assert shown.errors == []
+
+
+def test_what_rounding_leaves_is_nothing(page: Opened) -> None:
+    go(page, 0)
+    said = page.page.locator("#plots .panel").nth(0).locator("output")
+    assert [said.nth(k).inner_text() for k in range(3)] == ["0", "0", "0"]
+    go(page, 29)
+    assert [said.nth(k).inner_text() for k in range(3)] == ["0.290", "0", "0.0580"]
+
+
+def test_no_plot_of_features_where_none_match(browser: Browser, tmp_path: Path) -> None:
+    its = trajectory(nothing=True)
+    its = Trajectory([replace(frame, matches=np.zeros(3, np.int64)) for frame in its], CAMERAS, "m")
+    with opened(browser, result(tmp_path, its).as_uri()) as page:
+        assert page.state("panels") == [[]]
+        assert page.page.locator(".over-time").is_hidden()
+        assert page.errors == []
+
+
 def test_a_run_that_found_nothing_says_why(browser: Browser, tmp_path: Path) -> None:
     path = result(tmp_path, trajectory(nothing=True))
     with opened(browser, path.as_uri()) as its:
-        notice = its.page.locator(".notice.failed").inner_text()
+        before, notice = its.page.locator(".notice.failed").all_inner_texts()
+        assert "What looked wrong before the run" in before
+        assert "The <i>clocks</i> differ." in before
         assert f"30 frames: lost. {FrameStatus.LOST.text}" in notice
         assert f"30 frames: {REASON}" in notice
         assert its.state("visible", "panels") == [False, ["Features that match"]]

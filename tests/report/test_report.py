@@ -302,13 +302,13 @@ def test_report_without_any_pose(tmp_path: Path) -> None:
     lost = Trajectory([frame_pose(i, None, FrameStatus.NO_MOTION) for i in range(4)], NAMES)
     plot_trajectory(lost, tmp_path / "report.png")
     assert summary(lost) == "0 of 4 frames with a pose"
-    reasons = [f"camera {k} is dark" for k in range(4)] * 2 + [f"frame {k}" for k in range(6)]
+    reasons = [f"cam_{k} is dark" for k in range(4)] * 2 + [f"frame_{k}" for k in range(6)]
     told = Trajectory([replace(frame_pose(i, None, FrameStatus.LOST), reason=r) for i, r in enumerate(reasons)], NAMES)
     plot_trajectory(told, tmp_path / "why.svg", note="cup_$1, méthode <x>")
     said = " ".join("".join(text.itertext()) for text in ElementTree.parse(tmp_path / "why.svg").iter())
     for words in (
         FrameStatus.LOST.text[:40],
-        "2 frames: camera 3 is dark",
+        "2 frames: cam_3 is dark",
         "and 2 more reasons",
         "cup_$1, méthode <x>",
     ):
@@ -550,6 +550,16 @@ def test_why_there_is_no_pose_is_in_the_files(tmp_path: Path) -> None:
     back = read_trajectory(tmp_path / "trajectory.csv")
     assert [f.reason for f in back] == ["", lost.reason, ""]
     assert [list(f.matches) for f in back] == [[30, 40], [3, 0], []]
+
+
+def test_an_overlay_says_what_it_is_of_in_its_head(tmp_path: Path) -> None:
+    rig, drawn = ring(3, 1), []
+    for note in ("", "poses as tracked"):
+        with OverlayWriter(tmp_path / "o.mp4", rig, 10.0, note=note) as writer:
+            drawn.append(np.split(writer.draw(blank(rig), CENTERED, [None] * 3, 0.3), [writer._layout.bar]))
+    (head, below), (noted, below_it) = drawn
+    assert n_painted(noted, drawing.GREY, 20) > n_painted(head, drawing.GREY, 20) + 30
+    np.testing.assert_array_equal(below, below_it)
 
 
 def test_overlay_of_several_objects(tmp_path: Path) -> None:

@@ -70,7 +70,12 @@ export function make(name, attributes = {}, ...children) {
   return element;
 }
 
-export const fixed = (value, digits) => (Number.isFinite(value) ? value.toFixed(digits).replace("-", "\u2212") : "\u2013");
+// With so many digits; what they round to zero has no sign.
+export function fixed(value, digits) {
+  if (!Number.isFinite(value)) return "\u2013";
+  const said = value.toFixed(digits);
+  return said.replace("-", /[1-9]/.test(said) ? "\u2212" : "");
+}
 
 // Three digits that tell something, of a number that is known by itself.
 export function digits3(value) {

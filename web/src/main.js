@@ -40,6 +40,7 @@ const stills = images.n ? makeStills($("stills"), data, images) : null;
 if (!images.n) $("images").hidden = !$("images").querySelector("a");
 $("drawn").addEventListener("change", () => $("stills").classList.toggle("hide-drawn", !$("drawn").checked));
 const plots = makePlots($("plots"), data, (k) => go(k));
+document.querySelector(".over-time").hidden = !plots.panels().length;
 $("zoom-in").addEventListener("click", () => plots.zoom(0.5));
 $("zoom-out").addEventListener("click", () => plots.zoom(2));
 $("zoom-all").addEventListener("click", () => plots.zoom(0));
@@ -180,6 +181,7 @@ window.sylpose = {
     status: data.statuses[data.status[current]][0],
     matrix: viewer ? viewer.matrix() : null,
     visible: viewer ? viewer.visible() && data.hasPose[current] : false,
+    hidden: viewer ? viewer.hidden() : null,
     playing: Boolean(started),
     range: plots.range(),
     panels: plots.panels(),

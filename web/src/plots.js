@@ -38,7 +38,9 @@ export function makePlots(box, data, onPick) {
     name, color: () => readable(data.colors[j]), values: column(array, c, j), dash: j < data.colors.length && j >= 9 ? [6, 3] : [],
   }));
   const matched = data.anyPose ? data.inliers : data.matches;
-  add(data.anyPose ? "Inliers" : "Features that match", "", ofCameras(matched), { zero: true, cameras: true });
+  if (matched.some((v) => v > 0)) {
+    add(data.anyPose ? "Inliers" : "Features that match", "", ofCameras(matched), { zero: true, cameras: true });
+  }
   if (data.anyPose) add("Residual, rms", "px", ofCameras(data.residuals), { zero: true, cameras: true });
 
   function add(title, unit, lines, { zero = false, cameras = false } = {}) {
@@ -76,7 +78,8 @@ export function makePlots(box, data, onPick) {
     head.append(legend);
     const place = make("div", { class: "plot", role: "img", "aria-label": `${title}${unit ? `, ${unit}` : ""}, over time` });
     box.append(make("section", { class: "panel" }, head, place));
-    const panel = { title, lines, place, marker: make("div", { class: "marker" }), zero };
+    const size = lines.flatMap((line) => line.values).reduce((most, v) => Math.max(most, Math.abs(v ?? 0)), 0);
+    const panel = { title, lines, place, size, marker: make("div", { class: "marker" }), zero };
     panel.u = new uPlot(options(panel, series, bands, zero), columns, place);
     panel.u.over.append(panel.marker);
     for (const line of lines) {
@@ -200,8 +203,8 @@ export function makePlots(box, data, onPick) {
 
   function values(k) {
     const at = k ?? current;
-    for (const { lines } of panels) {
-      for (const line of lines) line.value.textContent = told(line.values[at]);
+    for (const { lines, size } of panels) {
+      for (const line of lines) line.value.textContent = told(line.values[at], size);
     }
   }
 
@@ -228,7 +231,13 @@ export function makePlots(box, data, onPick) {
 }
 
 const number = (value) => (Number.isFinite(value) ? value : null);
-const told = (value) => (value === null || value === undefined ? "\u2013" : Math.abs(value) >= 100 ? fixed(value, Number.isInteger(value) ? 0 : 1) : Number.isInteger(value) ? fixed(value, 0) : digits3(value));
+// Nothing of it is left where it is next to nothing of what the panel has (choice: what rounding leaves is less).
+function told(value, size) {
+  if (value === null || value === undefined) return "\u2013";
+  if (Math.abs(value) < 1e-5 * size) return "0";
+  const whole = Number.isInteger(value);
+  return whole || Math.abs(value) >= 100 ? fixed(value, whole ? 0 : 1) : digits3(value);
+}
 const hex = (color) => (color.startsWith("#") ? color.slice(0, 7) : "#888888");
 
 function span(low, high, zero) {

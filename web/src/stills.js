@@ -5,6 +5,7 @@ import { make, readable } from "./data.js";
 const AXES = ["x", "y", "z"];
 
 export function makeStills(box, data, images) {
+  box.classList.toggle("one", data.cameras.length === 1);
   box.classList.toggle("many", data.cameras.length > 4);
   const nowhere = -32768;
   const tiles = data.cameras.map((name, c) => {

@@ -2,7 +2,7 @@
 
 import {
   BufferGeometry, CanvasTexture, Color, DoubleSide, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments, Mesh,
-  MeshBasicMaterial, PerspectiveCamera, Points, PointsMaterial, Scene, SphereGeometry, SRGBColorSpace, Texture, Vector3,
+  MeshBasicMaterial, PerspectiveCamera, Points, PointsMaterial, Ray, Scene, SphereGeometry, SRGBColorSpace, Texture, Vector3,
   WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -210,13 +210,8 @@ export function makeViewer(box, data, images) {
   }
   controls.addEventListener("change", draw);
 
-  function fit(view = "all") {
-    const back = ahead.clone().multiplyScalar(-0.8).addScaledVector(right, 0.36).addScaledVector(up, 0.88);
-    if (view === "above") back.copy(up).addScaledVector(ahead, -1e-3);
-    back.normalize();
-    const near = view === "object" && places[current];
-    const seen = near ? [-1, 1].flatMap((s) => [right, ahead, up].map((v) => near.clone().addScaledVector(v, 1.6 * s * radius))) : standing;
-    // As near as leaves a margin around all that is to be seen, in whose middle it looks.
+  // As near from a side as leaves a margin around all that is to be seen, in whose middle it looks.
+  function stand(seen, back) {
     const side = new Vector3().crossVectors(up, back).normalize();
     const over = new Vector3().crossVectors(back, side);
     const span = (v) => seen.map((p) => p.dot(v)).reduce(([a, b], x) => [Math.min(a, x), Math.max(b, x)], [Infinity, -Infinity]);
@@ -227,8 +222,46 @@ export function makeViewer(box, data, images) {
       const from = p.clone().sub(target);
       return from.dot(back) + Math.max(Math.abs(from.dot(side)) / eye.aspect, Math.abs(from.dot(over))) / slope;
     }));
-    controls.target.copy(target);
-    eye.position.copy(target).addScaledVector(back, away);
+    return { target, from: target.clone().addScaledVector(back, away) };
+  }
+
+  // How much of the object, at some places of its way, cameras' images would hide from there.
+  const some = sure.length ? [0, 0.5, 1].map((t) => sure[Math.round(t * (sure.length - 1))]) : [new Vector3()];
+  const rim = some.flatMap((p) => [right, ahead, up].flatMap((v) => [-1, 0, 1].map((s) => p.clone().addScaledVector(v, s * radius))));
+  function hidden(from) {
+    const line = new Ray();
+    const met = new Vector3();
+    return rim.filter((p) => {
+      line.set(from, p.clone().sub(from).normalize());
+      return corners.some(([a, b, c, d]) => [[a, b, c], [a, c, d]].some((three) => (
+        line.intersectTriangle(...three, false, met) && met.distanceTo(from) < p.distanceTo(from))));
+    }).length;
+  }
+
+  // Whence the object is seen: the first of these sides, from the front round and then from higher up, from where images hide
+  // the least of it.
+  const sides = [0.88, 1.6, 3].flatMap((height) => [0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5, 6].map((k) => {
+    const around = Math.atan2(0.36, 0.8) + (k * Math.PI) / 6;
+    return ahead.clone().multiplyScalar(-Math.cos(around)).addScaledVector(right, Math.sin(around)).addScaledVector(up, height).normalize();
+  }));
+  function best(seen) {
+    let least = Infinity;
+    let found = null;
+    for (const back of sides) {
+      const place = stand(seen, back);
+      const much = images.n ? hidden(place.from) : 0;
+      if (much < least) [least, found] = [much, place];
+      if (!much) break;
+    }
+    return found;
+  }
+
+  function fit(view = "all") {
+    const near = view === "object" && places[current];
+    const seen = near ? [-1, 1].flatMap((s) => [right, ahead, up].map((v) => near.clone().addScaledVector(v, 1.6 * s * radius))) : standing;
+    const place = view === "above" ? stand(seen, up.clone().addScaledVector(ahead, -1e-3).normalize()) : best(seen);
+    controls.target.copy(place.target);
+    eye.position.copy(place.from);
     const c = view.startsWith("camera ") ? Number(view.slice(7)) : -1;
     eye.up.copy(up);
     eye.fov = FIELD;
@@ -321,5 +354,5 @@ export function makeViewer(box, data, images) {
   const said = [`grid ${digits3(spacing)} ${data.unit}`];
   if (usual > 0) said.push(`ellipsoid: \u00b1 2 standard deviations${larger > 1 ? `, ${larger} times as large` : ""}`);
   if (!originNear) said.push("the world's origin is out of view");
-  return { show, showStill, fit, legend: said, matrix: () => object.matrix.toArray(), visible: () => object.visible };
+  return { show, showStill, fit, legend: said, matrix: () => object.matrix.toArray(), visible: () => object.visible, hidden: () => hidden(eye.position) };
 }

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from sylpose.frames import FrameSet
+from sylpose.report.pictures import thumbnail
 from sylpose.report.scene import Stills
-from sylpose.report.thumbnails import thumbnail
 
 __all__ = ["FEWEST", "Album", "step_after"]
 

@@ -21,6 +21,7 @@ from sylpose.app.encoding import decoded, encoded
 from sylpose.app.state import FUNCTIONS, KINDS, RunState
 from sylpose.capture import Session
 from sylpose.files import replacing
+from sylpose.rig import Rig
 
 __all__ = ["CHECKPOINT", "fingerprint", "load_checkpoint", "save_checkpoint"]
 
@@ -109,10 +110,6 @@ def _compare(path: Path, header: _Header, options: Mapping[str, str], session: M
 
 def fingerprint(session: Session) -> dict[str, str]:
     """What a run's result depends on in a session: a checksum by what it is of. Contents of images are not read."""
-    cameras: list[object] = [session.rig.unit]
-    for camera in session.rig:
-        cameras += [camera.name, camera.size, camera.matrix, camera.distortion, camera.lens]
-        cameras.append(camera.camera_from_world.as_matrix())
     files: list[object] = []
     for source in session.sources:
         names = [file.name for file in source.files]
@@ -125,12 +122,21 @@ def fingerprint(session: Session) -> dict[str, str]:
         found = sorted(file for file in session.masks.rglob("*") if file.is_file())
         masks = [(file.relative_to(session.masks).as_posix(), file.stat().st_size) for file in found]
     return {
-        "calibration": _checksum(cameras),
+        "calibration": checksum_of_rig(session.rig),
         "images": _checksum(files),
         "time stamps or offsets": _checksum([timeline.frames, timeline.times, timeline.stamps]),
         "boxes": _checksum(boxes),
         "masks": _checksum(masks),
     }
+
+
+def checksum_of_rig(rig: Rig) -> str:
+    """Of its cameras and its unit."""
+    cameras: list[object] = [rig.unit]
+    for camera in rig:
+        cameras += [camera.name, camera.size, camera.matrix, camera.distortion, camera.lens]
+        cameras.append(camera.camera_from_world.as_matrix())
+    return _checksum(cameras)
 
 
 def _checksum(parts: list[Any]) -> str:

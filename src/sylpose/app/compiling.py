@@ -128,8 +128,8 @@ def compile_all(watch: Callable[[float], None] | None = None) -> None:
 
 
 def compile_aloud(console: Console) -> None:
-    """`compile_all`, and a line that says so where that has not been done, with its progress below on a terminal."""
-    announced()
+    """`compile_all`, and a line that says so where that has not been done or said, with its progress below on a terminal."""
+    said = announced()
     if is_compiled():
         with console.status("Loading ..."):
             compile_all()
@@ -138,7 +138,8 @@ def compile_aloud(console: Console) -> None:
     often, where = "after an installation or an update", f"kept in {folder and place_of(folder)}"
     if folder is None:
         often, where = "at every start", f"no folder can be written to keep it in, {CHOSEN}=FOLDER names one"
-    console.print(f"Compiling for one to two minutes, {often}; {where}.", soft_wrap=True)
+    if not said:  # by a kernel that was needed before
+        console.print(f"Compiling for one to two minutes, {often}; {where}.", soft_wrap=True)
     columns = (TextColumn("Compiling"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=None if folder is None else TOTAL)

@@ -51,6 +51,7 @@ class ObjectOutput:
         clock: counts the time of "plots" and "smoothing".
         plot_format: what the report's name ends with.
         note: what it is a report of, a line.
+        noticed: what looked wrong before the run, sentences.
         angles: three more in the files, and those of the report.
         known: the object before these cameras, if that is known from another take.
         album: pictures of the run, for its page; None for no page.
@@ -70,6 +71,7 @@ class ObjectOutput:
         recalibrate: bool = False,
         plot_format: str = "png",
         note: str = "",
+        noticed: Sequence[str] = (),
         angles: Angles | None = None,
         known: KnownHere | None = None,
         album: Album | None = None,
@@ -78,7 +80,7 @@ class ObjectOutput:
         self.folder, self._rig, self._clock = output_folder(folder), rig, clock
         self.changes: list[str] = []
         self._recalibrate, self._note, self._known, self._angles = recalibrate, note, known, angles
-        self._album = album
+        self._album, self._noticed = album, noticed
         self.report_path = self.folder / f"report.{plot_format}"
         state = OutputState() if resume is None else resume
         stem = TRACKED if smooth else RESULT
@@ -185,7 +187,8 @@ class ObjectOutput:
             with self._clock.part("plots"):
                 from sylpose.report.plots import plot_trajectory
 
-                plot_trajectory(self._whole, self.report_path, note=self._note, angles=self._angles or PAN_TILT_ROLL)
+                angles = self._angles or PAN_TILT_ROLL
+                plot_trajectory(self._whole, self.report_path, note=self._note, angles=angles, noticed=self._noticed)
                 if self._album is not None and self._named(RESULT)[1].stat().st_size <= MAX_TABLE:
                     from sylpose.app.page import make_page
 
@@ -206,14 +209,17 @@ class Overlay:
         rate: frames per second.
         names: of the objects; with one it is not written into the picture.
         clock: counts the time that the tracker waits for it, as "overlay".
+        smooth: all poses are refined together in the end, so that those in the video are not yet what the result has.
     """
 
-    def __init__(self, path: Path, rig: Rig, rate: float, names: Sequence[str], clock: Clock) -> None:
+    def __init__(
+        self, path: Path, rig: Rig, rate: float, names: Sequence[str], clock: Clock, *, smooth: bool = False
+    ) -> None:
         from sylpose.report.overlay import OverlayWriter
 
         self._clock = clock
         self._names = list(names)
-        self._writer = OverlayWriter(path, rig, rate)
+        self._writer = OverlayWriter(path, rig, rate, note="poses as tracked" if smooth else "")
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="sylpose-overlay")
         self._pending: deque[Future[None]] = deque()
         # Frames that some objects are not decided in yet, and by object the last one that it is.

@@ -66,10 +66,12 @@ def _head(folder: Path, trajectory: Trajectory, settings: Mapping[str, Any]) -> 
     title = Path(str(settings.get("recording") or folder.resolve())).name or "sylpose"
     options, versions, sums = (table(settings, name) for name in ("options", "versions", "checksums"))
     if isinstance(begun := settings.get("begun"), datetime):
-        facts.append(("Tracked", f"{begun.astimezone(UTC):%Y-%m-%d %H:%M} UTC"))
+        facts.append(("Begun", f"{begun.astimezone(UTC):%Y-%m-%d %H:%M} UTC"))
     if "method" in options:
         refined = ", refined together" if options.get("smooth") else ""
         facts += [("Method", f"{options['method']}{refined}"), ("Features", str(options.get("features", "")))]
+    if "model" in options:
+        facts.append(("Object", Path(str(options["model"])).name))
     facts += [("Cameras", str(len(trajectory.camera_names))), ("Unit of length", trajectory.unit or "not said")]
     if "calibration" in settings:
         digest = f", {str(sums['calibration'])[:12]}" if "calibration" in sums else ""
@@ -98,7 +100,11 @@ def _told(settings: Mapping[str, Any]) -> dict[str, list[tuple[str, str]]]:
     """All that settings.toml has, by its tables; first what stands before them."""
     tables = {"": {key: value for key, value in settings.items() if not isinstance(value, dict) and key != "noticed"}}
     tables |= {name: table for name, table in settings.items() if isinstance(table, dict)}
-    return {name: [(key, str(value)) for key, value in table.items()] for name, table in tables.items() if table}
+    return {name: [(key, _said(value)) for key, value in table.items()] for name, table in tables.items() if table}
+
+
+def _said(value: object) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _videos(root: Path, before: str) -> list[str]:

@@ -5,31 +5,35 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rich.console import Console
 
 from sylpose import __version__, calibration
 from sylpose.app import text
+from sylpose.app.album import Album
+from sylpose.app.notes import notes
 from sylpose.app.opening import camera_files, check_out, open_recorded
+from sylpose.app.page import make_page, settings_of, table
 from sylpose.app.pixel_files import load_pixels
 from sylpose.app.point_files import Layout, PointModel, load_points
-from sylpose.app.record import SETTINGS, USED
+from sylpose.app.record import SETTINGS, checksum, write_record, write_record_of_tables
+from sylpose.app.results_folder import ResultsFolder, alone_in
 from sylpose.app.run import Run
 from sylpose.boards.detection import markers_in
 from sylpose.capture import Session
-from sylpose.files import output_folder
 from sylpose.known_model.pose import estimate_pose
 from sylpose.known_model.pose_frame import frame_pose
 from sylpose.numerics.arrays import FloatArray, Image
-from sylpose.reading import told
+from sylpose.reading import MAX_TABLE, told
 from sylpose.report.files import TrajectoryWriter
 from sylpose.report.formats import FORMATS
 from sylpose.report.plots import plot_trajectory
+from sylpose.report.scene import Stills
 from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Camera, Rig
 from sylpose.sync.offsets import find_offsets, retimed
@@ -91,19 +95,26 @@ def pose_aloud(
     if not (np.isfinite(max_error_px) and max_error_px > 0):
         raise ValueError(f"--max-error must be a number of pixels, got {max_error_px}")
     known, begun, console = load_points(model), time.monotonic(), text.make_console()
-    if (out / SETTINGS).exists():
+    if (out / SETTINGS).exists() and "model" not in table(settings_of(out), "options"):
         raise ValueError(f"{out}: a run's results are there; another folder is expected: --out DIR")
+    noticed, album = list[str](), None
+    frames: Iterable[Seen]
+    asked: dict[str, object] = {"model": str(model.resolve()), "model_checksum": checksum(model), "is_in": is_in}
+    asked |= {"max_error_px": max_error_px, "seed": seed}
     if len(seen) == 1 and seen[0].is_dir():
         session = open_recorded(seen[0], given, None, None, None, cameras, rate, unit)
         check_out(session, out)
-        rig, source = session.rig, seen[0]
+        offsets = find_offsets(session)
+        session = retimed(session, [offsets.get(name, 0.0) for name in session.rig.names])
+        rig, source, album = session.rig, seen[0], Album(len(session.rig))
         layout = _markers(known, model, rig, is_in)
+        noticed += notes(session)
         if layout.inwards:
             said = ", ".join(map(str, layout.inwards))
-            text.print_warnings(
-                console, [f"marker {said} looks inwards: are its corners clockwise, as printed? x right, y up?"]
-            )
-        frames: Iterable[Seen] = _in_recording(session, layout, start, stop, every)
+            noticed.append(f"marker {said} looks inwards: are its corners clockwise, as printed? x right, y up?")
+        frames = _in_recording(session, layout, start, stop, every, album)
+        asked |= {"start": start, "stop": stop, "every": every, "offsets": dict(offsets) or None}
+        record = partial(write_record, out, session, asked, noticed)
     else:
         if given is None:
             raise ValueError("--calibration FILE: tables of pixels need one")
@@ -112,25 +123,37 @@ def pose_aloud(
         known = _told_in(known, model, rig, is_in)
         if not known.points:
             raise ValueError(f"{model}: it has markers, which are looked for in a recording, and no points by name")
-        frames = _in_tables(known, seen, rig, cameras, rate, likelihood, console)
-    poses = list[FramePose]()
-    with console.status("Looking ..."), TrajectoryWriter(output_folder(out), rig.names, rig.unit) as writer:
-        calibration.save(rig, out / USED)
-        for its in frames:
-            found = estimate_pose(rig, its.points, its.pixels, max_error_px=max_error_px, seed=seed)
-            poses.append(frame_pose(found, its.number, its.time, np.array([len(p) for p in its.pixels], np.int64)))
-            writer.write(poses[-1])
-    if faults := Counter(fault for pose in poses for fault in pose.faults):
-        fault, count = faults.most_common(1)[0]
-        text.print_warnings(console, [f"in {count} of {len(poses)} frames {fault}"])
-    trajectory, picture = Trajectory(poses, rig.names, rig.unit), out / f"report.{plot_format}"
-    looked = time.monotonic()
-    if poses:
-        note = f"{source.resolve().name}, by {model.name}, sylpose {__version__}"
-        plot_trajectory(trajectory, picture, note=note)
-    files = (out / "trajectory.tum", out / "trajectory.csv", *([picture] if poses else []), out / USED)
+        tables = [*seen, *map(Path, (camera_files(cameras) or {}).values())]
+        frames = _in_tables(known, seen, rig, cameras, rate, likelihood, noticed)
+        asked |= {"rate": rate, "likelihood": likelihood}
+        record = partial(write_record_of_tables, out, tables, given, rig, asked, noticed)
+    text.print_warnings(console, noticed)
+    poses, results = list[FramePose](), ResultsFolder(out)
+    with ExitStack() as whole:
+        whole.enter_context(alone_in(out))
+        results.set_aside()
+        whole.push(lambda error, *_: results.put_back() if error is not None and not poses else None)
+        files = record()
+        with console.status("Looking ..."), TrajectoryWriter(out, rig.names, rig.unit) as writer:
+            for its in frames:
+                found = estimate_pose(rig, its.points, its.pixels, max_error_px=max_error_px, seed=seed)
+                poses.append(frame_pose(found, its.number, its.time, np.array([len(p) for p in its.pixels], np.int64)))
+                writer.write(poses[-1])
+        if faults := Counter(fault for pose in poses for fault in pose.faults):
+            fault, count = faults.most_common(1)[0]
+            noticed = [f"in {count} of {len(poses)} frames {fault}", *noticed]
+            text.print_warnings(console, noticed[:1])
+        trajectory, looked = Trajectory(poses, rig.names, rig.unit), time.monotonic()
+        files = [writer.tum_path, writer.csv_path, *files]
+        if poses:
+            note = f"{source.resolve().name}, by {model.name}, sylpose {__version__}"
+            plot_trajectory(trajectory, out / f"report.{plot_format}", note=note, noticed=noticed)
+            files.insert(2, out / f"report.{plot_format}")
+            if writer.csv_path.stat().st_size <= MAX_TABLE:
+                files.insert(3, make_page(out, Stills() if album is None else album.stills()))
+        results.end()
     seconds = {"looking": looked - begun, "plots": time.monotonic() - looked}
-    run = Run({"object": trajectory}, files, (), seconds)
+    run = Run({"object": trajectory}, tuple(files), (), seconds)
     text.print_summary(console, run, len(poses))
     return run
 
@@ -149,11 +172,12 @@ def _markers(known: PointModel, model: Path, rig: Rig, is_in: str | None) -> Lay
     return layout
 
 
-def _in_recording(session: Session, layout: Layout, start: int, stop: int | None, every: int) -> Iterator[Seen]:
-    offsets = find_offsets(session)
-    session = retimed(session, [offsets.get(name, 0.0) for name in session.rig.names])
+def _in_recording(
+    session: Session, layout: Layout, start: int, stop: int | None, every: int, album: Album
+) -> Iterator[Seen]:
     with closing(session.frames(start, stop, every, lambda sentence: text.say(sentence))) as frames:
         for its in frames:
+            album.put(its)
             both = [_seen_in(image, camera, layout) for image, camera in zip(its.images, session.rig, strict=True)]
             yield Seen(its.index, its.time, [points for points, _ in both], [pixels for _, pixels in both])
 
@@ -174,7 +198,7 @@ def _in_tables(
     cameras: Sequence[str] | None,
     rate: float | None,
     likelihood: float,
-    console: Console,
+    noticed: list[str],
 ) -> list[Seen]:
     tables = load_pixels(files, rig.names, camera_files(cameras), likelihood)
     if rate is not None and not (np.isfinite(rate) and rate > 0):
@@ -186,9 +210,8 @@ def _in_tables(
             f"none of the points that cameras see ({_some(tables.names)}) is one of the object ({_some([*known.points])})"
         )
     if strange := [name for name in tables.names if name not in known.points]:
-        text.print_warnings(
-            console, [f"{len(strange)} points of the tables are not known on the object: {_some(strange)}"]
-        )
+        many = f"{len(strange)} points of the tables are" if len(strange) > 1 else "1 point of the tables is"
+        noticed.append(f"{many} not known on the object: {_some(strange)}")
     out = []
     for frame in tables.frames:
         points, pixels = [], []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -10,13 +11,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from sylpose import __version__, calibration
-from sylpose.app.checkpoint import fingerprint
+from sylpose.app.checkpoint import checksum_of_rig, fingerprint
 from sylpose.calibration.world import save_world
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.files import output_folder, replacing, toml_key, toml_string
+from sylpose.rig import Rig
 
-__all__ = ["SETTINGS", "USED", "WORLD", "write_record"]
+__all__ = ["SETTINGS", "USED", "WORLD", "checksum", "write_record", "write_record_of_tables"]
 
 SETTINGS, USED, WORLD = "settings.toml", "calibration.used.toml", "world.toml"
 # Whose versions answers may depend on, to rounding; OpenCV in whatever flavour there is.
@@ -38,36 +40,72 @@ def write_record(
     Raises:
         OSError: naming the file that cannot be written.
     """
-    output_folder(folder)
-    begun = datetime.now(UTC).isoformat(timespec="seconds")
-    asked = {name: value for name, value in options.items() if value is not None}
     of_session = {"rate": session.rate, "unit": session.rig.unit or None, "world": session.world and session.world.said}
-    asked |= {name: value for name, value in of_session.items() if value is not None}
-    text = f"{_HEAD}begun = {begun}\nrecording = {toml_string(str(session.path.resolve()))}\n"
-    text += f"calibration = {toml_string(str(session.calibration.resolve()))}\n"
-    if isinstance(session, Session) and session.rate is not None:
-        text += f"rate = {session.rate!r}\n"
+    of: dict[str, object] = {
+        "recording": str(session.path.resolve()),
+        "calibration": str(session.calibration.resolve()),
+    }
+    rest = ""
+    if isinstance(session, Session):
+        of |= _known({"rate": session.rate})
+        if session.timeline.offsets:
+            rest += _table("frame_offsets", session.timeline.offsets)
+        rest += _table("cameras", {source.camera: str(source.path.resolve()) for source in session.sources})
+        rest += "\n# Of what the result depends on; images count by their names and sizes."
+        rest += _table("checksums", fingerprint(session))
+    files = _write(folder, session.rig, of, {**options, **_known(of_session)}, noticed, rest)
+    if session.world is None:
+        return files
+    save_world(session.world, folder / WORLD)
+    return [*files, folder / WORLD]
+
+
+def write_record_of_tables(
+    folder: Path,
+    tables: Sequence[Path],
+    given: Path,
+    rig: Rig,
+    options: Mapping[str, object],
+    noticed: Sequence[str] = (),
+) -> list[Path]:
+    """The same of what is not of a recording but of tables of pixels, and of a calibration's file.
+
+    Raises:
+        OSError: naming the file that cannot be written, or read.
+    """
+    of = {"tables": [str(table.resolve()) for table in tables], "calibration": str(given.resolve())}
+    sums = {str(table.resolve()): checksum(table) for table in tables} | {"calibration": checksum_of_rig(rig)}
+    asked = {**options, **_known({"unit": rig.unit or None})}
+    return _write(folder, rig, of, asked, noticed, _table("checksums", sums))
+
+
+def checksum(file: Path) -> str:
+    """Of all that is in a file."""
+    return hashlib.blake2b(file.read_bytes(), digest_size=16).hexdigest()
+
+
+def _write(
+    folder: Path, rig: Rig, of: Mapping[str, object], asked: Mapping[str, object], noticed: Sequence[str], rest: str
+) -> list[Path]:
+    """Both files: what the run is of, its options, and the tables after them."""
+    output_folder(folder)
+    asked = _known(asked)
+    text = f"{_HEAD}begun = {datetime.now(UTC).isoformat(timespec='seconds')}\n{_lines(of)}"
     if noticed:
-        text += f"noticed = [{', '.join(map(toml_string, noticed))}]\n"
+        text += _lines({"noticed": [*noticed]})
     text += _table("options", {name: value for name, value in asked.items() if not isinstance(value, Mapping)})
     for name, value in asked.items():
         if isinstance(value, Mapping):
             text += _table(name, value)
-    if isinstance(session, Session):
-        if session.timeline.offsets:
-            text += _table("frame_offsets", session.timeline.offsets)
-        text += _table("cameras", {source.camera: str(source.path.resolve()) for source in session.sources})
-        text += "\n# Of what the result depends on; images count by their names and sizes."
-        text += _table("checksums", fingerprint(session))
-    text += _table("versions", _versions())
-    settings, used = folder / SETTINGS, folder / USED
-    with replacing(settings) as part:
+    text += rest + _table("versions", _versions())
+    with replacing(folder / SETTINGS) as part:
         part.write_text(text, encoding="utf-8")
-    calibration.save(session.rig, used)
-    if session.world is None:
-        return [settings, used]
-    save_world(session.world, folder / WORLD)
-    return [settings, used, folder / WORLD]
+    calibration.save(rig, folder / USED)
+    return [folder / SETTINGS, folder / USED]
+
+
+def _known(values: Mapping[str, object]) -> dict[str, object]:
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _versions() -> dict[str, str]:
@@ -79,10 +117,16 @@ def _versions() -> dict[str, str]:
 
 
 def _table(name: str, values: Mapping[str, object]) -> str:
-    return f"\n[{name}]\n" + "".join(f"{toml_key(key)} = {_value(value)}\n" for key, value in values.items())
+    return f"\n[{name}]\n{_lines(values)}"
+
+
+def _lines(values: Mapping[str, object]) -> str:
+    return "".join(f"{toml_key(key)} = {_value(value)}\n" for key, value in values.items())
 
 
 def _value(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
     return toml_string(value) if isinstance(value, str) else repr(value)

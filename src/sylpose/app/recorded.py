@@ -20,7 +20,7 @@ __all__ = ["recording_of"]
 class _Settings(msgspec.Struct, frozen=True):
     """What of settings.toml says where the images are and which belong together."""
 
-    recording: str
+    recording: str = ""
     cameras: dict[str, str] = {}
     rate: float | None = None
     frame_offsets: dict[str, int] = {}
@@ -44,7 +44,7 @@ def recording_of(result: Path, moved: Path | None = None) -> Session:
         raise FileNotFoundError(f"{result}: no {SETTINGS}, which says where the recording is")
     settings = _settings(run / SETTINGS)
     if not settings.cameras:
-        raise ValueError(f"{run}: of live cameras, or of a folder that grew: there is no recording")
+        raise ValueError(f"{run}: of live cameras, a folder that grew, or tables of pixels: there is no recording")
     path, cameras = Path(settings.recording), dict(settings.cameras)
     if moved is not None:
         path = moved

@@ -205,7 +205,7 @@ def track_session(
         whole.enter_context(alone_in(results.path))
         shown = whole.enter_context(watched(progress, len(session.rig), number or None, len(trackers)))
         position, states = 0, {name: OutputState() for name in session.objects}
-        album = Album(len(session.rig))
+        album, noticed = Album(len(session.rig)), _noticed(session, start)
         outputs: dict[str, ObjectOutput] = {}
 
         def begun() -> bool:
@@ -228,7 +228,7 @@ def track_session(
         else:
             results.set_aside()
             whole.push(lambda error, *_: results.put_back() if error is not None and not begun() else None)
-            write_record(results.path, session, asked, _noticed(session, start))
+            write_record(results.path, session, asked, noticed)
             if saver is not None:
                 saver.begin(RunState(0, _memories(trackers), states))
 
@@ -244,6 +244,7 @@ def track_session(
                 plot_format=plot_format,
                 angles=about,
                 note=_note(session, name, method, smooth),
+                noticed=noticed,
                 known=tracker.known if isinstance(tracker, Tracker) else None,
                 album=album,
                 resume=state,
@@ -254,7 +255,7 @@ def track_session(
         if overlay:
             rate = max(session.rate / every, 1.0) if session.rate else IMAGE_RATE
             drawing = stack.enter_context(
-                closing(Overlay(overlay_path, rigs[session.objects[0]], rate, session.objects, clock))
+                closing(Overlay(overlay_path, rigs[session.objects[0]], rate, session.objects, clock, smooth=smooth))
             )
 
         def take(name: str, decided: list[TrackedFrame]) -> None:

@@ -73,7 +73,7 @@ def pose(
 
     Points are a CAD model's or a marker layout's, in the object's own frame. They are seen by people or networks (tables),
     or found: markers that are glued to it (AprilTags, ArUco) in a recording. Writes trajectory.tum, trajectory.csv (status,
-    uncertainty, inliers and residuals per camera) and a report.
+    uncertainty, inliers and residuals per camera), report.png, report.html and what it was asked for (settings.toml).
     """
     from sylpose.app import text
     from sylpose.app.poses import pose_aloud

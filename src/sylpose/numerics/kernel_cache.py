@@ -191,15 +191,17 @@ def _plain(code: CodeType) -> list[object]:
 _said: set[str] = set()  # by this process
 
 
-def announced() -> None:
-    """To be called by who says himself that it compiles, and shows how far it is: it is not said again."""
+def announced() -> bool:
+    """To be called by who says himself that it compiles, and shows how far it is: it is not said again. Tells whether it
+    has been said before."""
+    before = "compiling" in _said
     _said.add("compiling")
+    return before
 
 
 def _announce(kept_in: Path | None) -> None:
-    if "compiling" in _said:
+    if announced():
         return
-    announced()
     often, where = "after an installation or an update", f"kept in {kept_in and place_of(kept_in)}"
     if kept_in is None:
         often, where = "at every start", f"no folder can be written to keep it in, {CHOSEN}=FOLDER names one"

@@ -99,19 +99,21 @@ class OverlayWriter:
         rig: whose cameras are tiled, in its order.
         rate: frames per second.
         max_width: pixels, of the whole picture.
+        note: a few words in its head about all frames.
 
     Raises:
         ValueError: a rate or width that is not positive.
         OSError: naming the file, when it cannot be written.
     """
 
-    def __init__(self, path: Path | str, rig: Rig, rate: float, max_width: int = 1920) -> None:
+    def __init__(self, path: Path | str, rig: Rig, rate: float, max_width: int = 1920, note: str = "") -> None:
         if not (np.isfinite(rate) and rate > 0):
             raise ValueError(f"the overlay's rate must be a positive number of frames per second, got {rate}")
         if max_width < 64:
             raise ValueError(f"the overlay's width must be at least 64 pixels, got {max_width}")
         self.path = Path(path)
         self.rig = rig
+        self._note = note
         self._layout = _layout(rig, max_width)
         self._count = 0
         self._failed: OSError | None = None
@@ -228,7 +230,7 @@ class OverlayWriter:
             self._check("looked_at", shown.looked_at or [None] * n)
         layout = self._layout
         picture = np.full((layout.size[1], layout.size[0], 3), DARK, np.uint8)
-        _draw_bar(picture[: layout.bar], objects, self.rig.unit)
+        _draw_bar(picture[: layout.bar], objects, self.rig.unit, self._note)
         for i, camera in enumerate(self.rig):
             x, y = layout.corners[i]
             tile = picture[y : y + layout.tile[1], x : x + layout.tile[0]]
@@ -349,8 +351,8 @@ def _draw_caption(tile: Image, name: str, poses: Sequence[FramePose], i: int, ha
     write(tile, details, (2 * margin + name_width, margin + height), size, color)
 
 
-def _draw_bar(bar: Image, objects: Sequence[Shown], unit: str) -> None:
-    """Frame, time and status on the left, angles and position on the right; of several objects their statuses."""
+def _draw_bar(bar: Image, objects: Sequence[Shown], unit: str, note: str) -> None:
+    """Frame, time, status and note on the left, angles and position on the right; of several objects their statuses."""
     height = bar.shape[0]
     size = height / 62
     y = height * 0.68
@@ -364,6 +366,8 @@ def _draw_bar(bar: Image, objects: Sequence[Shown], unit: str) -> None:
         words.append((shown.pose.status.value, _status_color(shown.pose), 0.5))
         if shown.pose.observable is not Observable.ALL:
             words.append((shown.pose.observable.value, WARN, 0.5))
+    if note:
+        words.append((note, GREY, 0.5))
     x = height * 0.3
     for text, color, gap in words:
         x += write(bar, text, (x, y), size, color) + height * gap

@@ -24,7 +24,8 @@ from sylpose.numerics.angles import Angles
 from sylpose.reading import SENTENCE, one_line
 from sylpose.report.disagreement import remarks
 from sylpose.report.page_data import data_of, images_of
-from sylpose.report.plots import summary, why_nothing
+from sylpose.report.plots import summary
+from sylpose.report.reasons import why_nothing
 from sylpose.report.scene import Scene
 from sylpose.results import Observable, Trajectory
 from sylpose.rig import Rig
@@ -116,11 +117,12 @@ def _time_axis(data: Mapping[str, Any]) -> str:
 
 
 def _notices(trajectory: Trajectory, head: Head, *, failed: bool) -> str:
-    parts: list[tuple[str, Sequence[str], str]] = []
+    wide = " failed" if failed else ""
+    # What looked wrong before is the likeliest cause of what went wrong then.
+    parts = [("What looked wrong before the run", head.noticed, wide)]
     if failed:
-        parts.append(("Why there is no pose", why_nothing(trajectory), " failed"))
+        parts.append(("Why there is no pose", why_nothing(trajectory), wide))
     parts.append(("What is to be said of the cameras", remarks(trajectory), ""))
-    parts.append(("What looked wrong before the run", head.noticed, ""))
     shown = [
         f'<section class="notice{kind}"><h2>{title}</h2><ul>{_items(said)}</ul></section>'
         for title, said, kind in parts
@@ -140,7 +142,7 @@ def _videos(names: Sequence[str]) -> str:
     if not names:
         return ""
     links = ", ".join(f'<a href="{_text(quote(name))}">{_text(name)}</a>' for name in names)
-    return f"<p><small>All frames with what was matched in them, where it lies beside this page: {links}</small></p>"
+    return f"<p><small>All frames, where it lies beside this page: {links}</small></p>"
 
 
 def _statuses(trajectory: Trajectory) -> str:

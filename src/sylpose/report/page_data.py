@@ -102,7 +102,7 @@ def data_of(trajectory: Trajectory, scene: Scene, angles: Angles) -> dict[str, A
         "since": start_time if abs(start_time) > LATE else 0.0,
         "time": _packed(shown.times - trajectory.times[0]),
         "place": _packed(poses[:, :3, 3] - scene.center),
-        "begin": (start - scene.center).tolist(),
+        "begin": (start - scene.center).astype(np.float32).tolist(),  # rounded as places are: it is one of them
         "turned": _packed(poses[:, :3, :3]),
         "sigma": _packed(sigma * ([180 / np.pi] * 3 + [1.0] * 3)),
         "angle": _packed(np.degrees(angles_of_frames(shown, angles))),

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from sylpose.files import replacing
 from sylpose.numerics.angles import PAN_TILT_ROLL, Angles
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.report.disagreement import disagreements, remarks
+from sylpose.report.reasons import why_nothing
 from sylpose.results import FrameStatus, Observable, Trajectory
 
 __all__ = [
@@ -37,7 +37,6 @@ __all__ = [
     "save_figure",
     "summary",
     "trajectory_figure",
-    "why_nothing",
 ]
 
 
@@ -51,8 +50,6 @@ NO_POSE_COLOR, PARTIAL_COLOR, COASTING_COLOR, STRAIGHT_COLOR = "#BBBBBB", "#F0E4
 UNCERTAIN_COLOR = "#F4B6B6"
 INK = "#333333"
 
-# So many lines of a picture say why there is no pose.
-MOST_REASONS = 8
 # With more frames than this, markers would run into each other.
 MARKED_FRAMES = 80
 # Angles that change by more from a frame to the next have gone round, degrees (choice: beyond any turn, below 180).
@@ -94,7 +91,12 @@ def summary(trajectory: Trajectory) -> str:
 
 
 def plot_trajectory(
-    trajectory: Trajectory, path: Path | str, *, note: str = "", angles: Angles = PAN_TILT_ROLL
+    trajectory: Trajectory,
+    path: Path | str,
+    *,
+    note: str = "",
+    angles: Angles = PAN_TILT_ROLL,
+    noticed: Sequence[str] = (),
 ) -> None:
     """`trajectory_figure` as a file (.png, .svg, .pdf), replaced when it is there.
 
@@ -102,10 +104,12 @@ def plot_trajectory(
         ValueError: a trajectory without frames.
         OSError: naming the file, when it cannot be written.
     """
-    save_figure(trajectory_figure(trajectory, note=note, angles=angles), path)
+    save_figure(trajectory_figure(trajectory, note=note, angles=angles, noticed=noticed), path)
 
 
-def trajectory_figure(trajectory: Trajectory, *, note: str = "", angles: Angles = PAN_TILT_ROLL) -> Figure:
+def trajectory_figure(
+    trajectory: Trajectory, *, note: str = "", angles: Angles = PAN_TILT_ROLL, noticed: Sequence[str] = ()
+) -> Figure:
     """Draws three angles and the total turn, the position since the start, inliers and residuals per camera over time.
 
     Angles are those of the CSV, their lines broken where they go round.
@@ -119,6 +123,7 @@ def trajectory_figure(trajectory: Trajectory, *, note: str = "", angles: Angles 
         trajectory: of at least one frame.
         note: a line below, of what this is a picture of.
         angles: which three.
+        noticed: sentences about what looked wrong before the run, which are said where no frame has a pose.
 
     Raises:
         ValueError: a trajectory without frames.
@@ -126,7 +131,7 @@ def trajectory_figure(trajectory: Trajectory, *, note: str = "", angles: Angles 
     title = summary(trajectory)
     solved = trajectory.solved
     if not any(f.world_from_object is not None for f in trajectory):
-        return _picture_of_nothing(trajectory, title, note)
+        return _picture_of_nothing(trajectory, title, note, noticed)
     pale = np.array([f.status in (FrameStatus.COASTING, FrameStatus.UNCERTAIN) for f in trajectory])
     times = trajectory.times
     marker = "." if len(trajectory) <= MARKED_FRAMES else ""
@@ -203,36 +208,20 @@ def _put_note(figure: Figure, note: str) -> None:
         figure.text(0.01, -0.005, note, fontsize=8.5, color="#666666", verticalalignment="top", parse_math=False)
 
 
-def why_nothing(trajectory: Trajectory) -> list[str]:
-    """What happened to the frames of a trajectory without any pose, in sentences."""
-    said = [
-        f"{count} frame{'s' if count > 1 else ''}: {status.value}. {status.text}"
-        for status, count in Counter(f.status for f in trajectory).most_common()
-    ]
-    reasons = Counter(f.reason for f in trajectory if f.reason).most_common()
-    said += [f"{count} frame{'s' if count > 1 else ''}: {reason}" for reason, count in reasons[:MOST_REASONS]]
-    if len(reasons) > MOST_REASONS:
-        said.append(f"and {len(reasons) - MOST_REASONS} more reasons: see the column reason of trajectory.csv")
-    return said
-
-
-def _picture_of_nothing(trajectory: Trajectory, title: str, note: str) -> Figure:
-    """The same as a picture."""
-    said = why_nothing(trajectory)
-    lines = [line for sentence in said for line in textwrap.wrap(sentence, 130, subsequent_indent="    ")]
-    text, height = "\n".join(lines), 1.2 + 0.25 * len(lines)
+def _picture_of_nothing(trajectory: Trajectory, title: str, note: str, noticed: Sequence[str]) -> Figure:
+    """Why there is no pose, as a picture: first what looked wrong before, which is the likeliest cause."""
+    parts = (("What looked wrong before the run", noticed), ("Why there is no pose", why_nothing(trajectory)))
+    lines: list[tuple[str, bool]] = []
+    for heading, said in parts:
+        if said:
+            lines += [("", False)] * bool(lines) + [(heading, True)]
+            lines += [(line, False) for one in said for line in textwrap.wrap(one, 130, subsequent_indent="    ")]
+    height = 1.2 + 0.25 * len(lines)
     figure = new_figure(11.5, height)
     figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
-    figure.text(
-        0.02,
-        1.0 - 0.5 / height,
-        text,
-        fontsize=10,
-        color=INK,
-        verticalalignment="top",
-        linespacing=1.6,
-        parse_math=False,
-    )
+    for k, (line, bold) in enumerate(lines):
+        weight, y = "bold" if bold else "normal", 1.0 - (0.55 + 0.25 * k) / height
+        figure.text(0.02, y, line, fontsize=10, fontweight=weight, color=INK, verticalalignment="top", parse_math=False)
     _put_note(figure, note)
     return figure
 
