@@ -14,7 +14,7 @@ import numpy as np
 from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.results import Trajectory
 
-__all__ = ["Disagreement", "disagreements", "noisy", "remarks"]
+__all__ = ["Disagreement", "contradictions", "disagreements", "noisy", "remarks"]
 
 # A camera is doubted in a frame when what it says has so many times the variance that its matches give it, and so many
 # times that of the others' median: of two or three that contradict each other nobody knows which is wrong (measured:
@@ -27,9 +27,12 @@ AT_EASE = 12
 # ... unless another one is doubted in so many of these frames as well: where cameras take turns, all are calibrated a little
 # off (measured: board4, 0.2 and 0.4 of them; none where one was bumped into).
 IN_TURN = 0.15
+# Cameras contradict each other where so many at least are doubted by this factor, in this share of the frames: nobody knows
+# then which of them is wrong (measured: good calibrations 0, board4 0.2, one or all off by some degrees 0.45 to 0.97).
+CONTRADICT, VOICES, OFTEN = 5.0, 2, 0.4
 # A camera is noisy when its residuals are so many times the others' median, and so many pixels (choice: what blur, an
 # interlaced image or a lens that is off show; a board at a camera's rim has twice the others').
-NOISY, NOISY_PX = 4.0, 1.0
+NOISY, NOISY_PX = 4.0, 0.6
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,29 @@ def disagreements(trajectory: Trajectory) -> list[Disagreement]:
     return sorted(found, key=lambda d: (d.first, d.camera))
 
 
+def contradictions(trajectory: Trajectory) -> list[str]:
+    """A sentence where cameras contradict each other over and over: those whose images agree with no pose, by their names;
+    or that nobody knows which of them is wrong. None with fewer than three cameras."""
+    n = len(trajectory.camera_names)
+    doubt = np.array([f.doubt for f in trajectory if f.seen and len(f.doubt) == n]).reshape(-1, n)
+    if n < 3 or len(doubt) < WINDOW:
+        return []
+    asked = ~np.isnan(doubt).all(axis=0)
+    refused = np.flatnonzero(asked & (np.isinf(doubt).mean(axis=0) >= OFTEN))
+    if len(refused):
+        names = " and ".join(trajectory.camera_names[c] for c in refused)
+        if len(refused) == 1:
+            return [f"what {names} sees agrees with no pose of the others: is its calibration another camera's?"]
+        return [f"what {names} see agrees with no pose of the others: are their calibrations exchanged?"]
+    frames = int(np.count_nonzero((doubt > CONTRADICT).sum(axis=1) >= VOICES))
+    if frames < OFTEN * len(doubt):
+        return []
+    return [
+        f"the cameras contradict each other in {frames} of {len(doubt)} frames, and which of them is wrong cannot be told: "
+        "the calibration is off, and poses are more uncertain than they say"
+    ]
+
+
 def noisy(residuals: FloatArray) -> BoolArray:
     """(C,) which cameras are far noisier than the others.
 
@@ -95,17 +121,20 @@ def _noises(trajectory: Trajectory) -> list[str]:
     usual = np.array([np.median(r[np.isfinite(r)]) if np.isfinite(r).any() else np.nan for r in known.T])
     return [
         f"{trajectory.camera_names[c]} is noisier than the others: {usual[c]:.1f} px, where they have "
-        f"{np.nanmedian(np.delete(usual, c)):.1f}: is it blurred, or its lens not as calibrated?"
+        f"{np.nanmedian(np.delete(usual, c)):.1f}: is it blurred, or not as it was calibrated?"
         for c in np.flatnonzero(noisy(usual)).tolist()
     ]
 
 
 def remarks(trajectory: Trajectory) -> list[str]:
-    """What is to be said of the cameras: who disagreed or is noisy, and the faults that were found, with in how many
-    frames."""
+    """What is to be said of the cameras: who disagreed, contradicts or is noisy, and the faults that were found, with in how
+    many frames."""
     faults = Counter(fault for frame in trajectory for fault in frame.faults)
     said = [f"{fault} (in {n} frame{'' if n == 1 else 's'})" for fault, n in faults.most_common()]
-    return [*(d.text for d in disagreements(trajectory)), *_noises(trajectory), *said]
+    named = [d.text for d in disagreements(trajectory)]
+    # Where cameras contradict each other, what one of them shows of it says nothing about that one.
+    told = named or contradictions(trajectory)
+    return [*told, *(_noises(trajectory) if told == named else ()), *said]
 
 
 def _doubted(doubt: FloatArray, camera: int) -> BoolArray:

@@ -90,7 +90,10 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     on_it = np.array([a.tried_moved for a in found.agreed]) >= MIN_MATCHES  # else it may see something else
     # Nor do frames teach in which all may be background still: as the object creeps, its landmarks would go half of the way.
     proven = joint.proven_by(found.agreed)
-    silent = (on_it & (doubt > SILENT)) | (not proven)
+    doubted = on_it & (doubt > SILENT)
+    # Where most are doubted nobody knows which are wrong: the one left would go on by what it sees alone, and agree.
+    most = 2 * np.count_nonzero(doubted) > np.count_nonzero(on_it)
+    silent = (doubted & (not most)) | (not proven)
     cameras = crew.each(lambda c: parts[c].blind() if silent[c] else found.frame.cameras[c])
     frame = replace(found.frame, cameras=cameras)
     known, radius = joint.known, joint.object.radius
