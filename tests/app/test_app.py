@@ -174,23 +174,51 @@ def test_offsets_need_times(session: Path, capsys: pytest.CaptureFixture[str]) -
 RATE, MISSING = 2, 6
 
 
-class Player:
-    """A camera that plays a video in its own time, over and over if asked to."""
+class Pace:
+    """Of cameras that give a frame when its time has come and the one before it was taken: whoever tracks them may be
+    late."""
 
-    def __init__(self, frames: list[Image], forever: bool = False, missing: int = -1) -> None:
-        self._frames, self._forever, self._missing, self._next = frames, forever, missing, 0
-        self._start = time.monotonic()
+    def __init__(self) -> None:
+        self._changed, self._taken, self._given = threading.Condition(), -1, dict[int, float]()
+
+    def wait(self, k: int) -> None:
+        """Until frame k is to be given; not for long, since the one before it may have been left out."""
+        with self._changed:
+            # A set that lacks a camera is given when another one has come.
+            self._changed.wait_for(lambda: self._taken >= k - 1 - (k - 1 == MISSING), timeout=10)
+            due = self._given.get(k - 1, time.monotonic()) + 1 / RATE
+        time.sleep(max(0.0, due - time.monotonic()))
+        with self._changed:
+            self._given.setdefault(k, time.monotonic())
+
+    def take(self, k: int) -> None:
+        with self._changed:
+            self._taken = max(self._taken, k)
+            self._changed.notify_all()
+
+
+class Player:
+    """A camera that plays a video, over and over if asked to."""
+
+    def __init__(self, frames: list[Image], pace: Pace, forever: bool = False, missing: int = -1) -> None:
+        self._frames, self._pace, self._forever, self._missing, self._next = frames, pace, forever, missing, 0
 
     def read(self) -> Grab | None:
         while self._next == self._missing:
             self._next += 1
         if self._next >= len(self._frames) and not self._forever:
             return None
-        time.sleep(max(0.0, self._start + self._next / RATE - time.monotonic()))
-        k = self._next % (2 * len(self._frames) - 2)
+        number = self._next
+        self._pace.wait(number)
+        k = number % (2 * len(self._frames) - 2)
         image = self._frames[min(k, 2 * len(self._frames) - 2 - k)]
         self._next += 1
-        return Grab((image.shape[1], image.shape[0]), lambda: image)
+
+        def pixels() -> Image:
+            self._pace.take(number)
+            return image
+
+        return Grab((image.shape[1], image.shape[0]), pixels)
 
     def close(self) -> None:
         pass
@@ -202,10 +230,10 @@ def cameras(session: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, bool]:
     sources = "".join(f"{name} = {c}\n" for c, name in enumerate(CAMERAS))
     (session / "live.toml").write_text(f"max_delay = 0.5\nrate = {RATE}\n[sources]\n{sources}")
     played = {c: images(session / f"{name}.mp4") for c, name in enumerate(CAMERAS)}
-    how = {"forever": False}
+    how, pace = {"forever": False}, Pace()
 
     def opener(source: int | str, *_: object) -> Player:
-        return Player(played[int(source)], how["forever"], missing=MISSING if source == 1 else -1)
+        return Player(played[int(source)], pace, how["forever"], missing=MISSING if source == 1 else -1)
 
     monkeypatch.setattr(live, "open_live", partial(live.open_live, opener=opener))
     monkeypatch.setattr(live, "PAUSES", ())

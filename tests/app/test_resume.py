@@ -127,12 +127,12 @@ def interrupted(session: Path, out: Path, after: int, **options: Any) -> None:
 @pytest.mark.parametrize(
     ("options", "after"),
     [
-        ({"method": "epipolar", "stop": 5}, 3),
+        pytest.param({"method": "epipolar", "stop": 5}, 3, marks=pytest.mark.slow),
         ({"method": "sylvester", "start": 1, "every": 2}, 3),
         ({"features": "klt", "offsets": {"cam_1": 0.002}, "stop": 7}, 5),
         ({"smooth": True, "stop": 6}, 4),
-        ({"smooth": False, "stop": 6}, 4),
-        ({"stop": 4}, 4),
+        pytest.param({"smooth": False, "stop": 6}, 4, marks=pytest.mark.slow),
+        pytest.param({"stop": 4}, 4, marks=pytest.mark.slow),
         ({"stop": 4, "checkpoint_seconds": 20}, 3),
     ],
     ids=["epipolar", "every other frame", "klt", "smooth", "not smooth", "after the last frame", "from the start"],
