@@ -271,22 +271,28 @@ def test_what_live_cameras_cannot_do(session: Path, capsys: pytest.CaptureFixtur
         track_session(opened, resume=True)
 
 
-def test_a_growing_folder_is_tracked_as_it_grows(session: Path, tmp_path: Path) -> None:
+def test_a_growing_folder_is_tracked_as_it_grows(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     played = {name: images(session / f"{name}.mp4") for name in CAMERAS}
     for name in CAMERAS:
         (session / f"{name}.mp4").unlink()
         (session / name).mkdir()
-    command = [sys.executable, "-m", "sylpose", "track", str(session), "--follow", "--lossless", "--rate", "30"]
-    process = subprocess.Popen([*command, "--out", str(tmp_path / "out")], stdout=subprocess.PIPE, text=True)
-    for k in range(FRAMES):
-        for name in CAMERAS:
-            cv2.imwrite(str(session / name / "writing.bmp"), played[name][k])
-            (session / name / "writing.bmp").rename(session / name / f"{k:03d}.png")
-        time.sleep(0.05)
-    (session / "DONE").touch()
-    out, _ = process.communicate(timeout=120)
-    assert process.returncode == 0
-    assert f"of {FRAMES} frames" in out
+
+    def record() -> None:
+        for k in range(FRAMES):
+            for name in CAMERAS:
+                cv2.imwrite(str(session / name / "writing.bmp"), played[name][k])
+                (session / name / "writing.bmp").rename(session / name / f"{k:03d}.png")
+            time.sleep(0.05)
+        (session / "DONE").touch()
+
+    recorder = threading.Thread(target=record)
+    recorder.start()
+    command = ["track", str(session), "--follow", "--lossless", "--rate", "30", "--out", str(tmp_path / "out")]
+    assert main(command) == 0
+    recorder.join()
+    assert f"of {FRAMES} frames" in capsys.readouterr().out
     trajectory = read_trajectory(tmp_path / "out" / "trajectory.csv")
     assert [frame.index for frame in trajectory] == list(range(FRAMES))
     assert trajectory.times[-1] == pytest.approx((FRAMES - 1) / 30)

@@ -122,7 +122,9 @@ def test_one_word_against_another_is_none() -> None:
     assert found.faults == ()
 
 
-@pytest.mark.parametrize("rig", [around(4), arc(4, 20.0), dome(8)], ids=["around", "arc", "dome"])
+@pytest.mark.parametrize(
+    "rig", [around(4), arc(4, 20.0), pytest.param(dome(8), marks=pytest.mark.slow)], ids=["around", "arc", "dome"]
+)
 @pytest.mark.parametrize("kind", ["uniform", "static", "second_motion"])
 def test_good_cameras_with_outliers_are_not_named(rig: Rig, kind: str) -> None:
     named = 0
