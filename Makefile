@@ -48,7 +48,8 @@ test: browser
 kernels: $(VENV)/.installed-dev
 	$(BIN)/python -m tests.compile_kernels
 
-# What processes of their own do beside each other, which takes minutes and a machine that has time for it.
+# What processes of their own do beside each other, and the other cases of what `test` shows one or two of: minutes, on a
+# machine that has time for it.
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow
 
