@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # What touches cv2: OpenCV 4 and 5 are asked alike.
 OPENCV_TESTS := tests/calibration tests/capture tests/features tests/report tests/simulate tests/test_rig.py
 
-.PHONY: demo demo-network test test-slow test-opencv4 test-opencv5 browser web lint format dist bench bench-tracking bench-paper docs gallery clean
+.PHONY: demo demo-network test kernels test-slow test-opencv4 test-opencv5 browser web lint format dist bench bench-tracking bench-paper docs gallery clean
 
 # The package's own file has the version.
 $(VENV)/.installed: pyproject.toml src/sylpose/__init__.py
@@ -40,11 +40,16 @@ demo-network: $(VENV)/.installed-dev
 
 # Small matrices gain nothing from several threads, which would get into each other's way beside several workers.
 test: export OPENBLAS_NUM_THREADS = 1
-test: lint browser
-	$(BIN)/python -m tests.compile_kernels
-	$(BIN)/python -m pytest -n auto --dist loadfile
+test: browser
+	$(MAKE) --jobs=2 lint kernels
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
-# What processes of their own do beside each other, which takes minutes and a machine that has time for it.
+# Beside lint: the last ones are compiled by one process, and mypy is another.
+kernels: $(VENV)/.installed-dev
+	$(BIN)/python -m tests.compile_kernels
+
+# What processes of their own do beside each other, and the other cases of what `test` shows one or two of: minutes, on a
+# machine that has time for it.
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow
 

@@ -71,6 +71,7 @@ def opened(browser: Browser, url: str, *, online: bool = False, **options: Any) 
     context = browser.new_context(**({"viewport": {"width": 1280, "height": 800}} | options))
     if not online:
         context.set_offline(True)
+    context.set_default_timeout(60_000)  # of a busy machine
     page = context.new_page()
     said = Opened(page)
     page.on("request", lambda request: None if request.url.startswith("data:") else said.requests.append(request.url))

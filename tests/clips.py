@@ -103,6 +103,13 @@ def board_before(camera: Camera, first: int, last: int) -> Actor:
     return Actor(body, lambda frame: world_from_board if first <= frame <= last else nowhere)
 
 
+@cache
+def hidden_clip() -> Clip:
+    """Drifting, hidden from all four cameras in frames 7 to 9 of 15."""
+    rig = moving_scene(drifting, 1).rig
+    return Clip.render(moving_scene(drifting, 15, [board_before(camera, 7, 9) for camera in rig]))
+
+
 def surface_points(
     camera: Camera, normalized: FloatArray, world_from_object: RigidTransform, vertices: FloatArray
 ) -> FloatArray:

@@ -107,10 +107,10 @@ def test_limits_of_size_digits_and_encoding(tmp_path: Path) -> None:
 )
 def test_keys_of_many_parts_cost_nothing(text: str) -> None:
     tracemalloc.start()
-    begin = time.perf_counter()
+    begin = time.process_time()  # machines may be busy
     with pytest.raises(ValueError, match="too many dots"):
         parsed_toml(text)
-    took, peak = time.perf_counter() - begin, tracemalloc.get_traced_memory()[1]
+    took, peak = time.process_time() - begin, tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert took < 0.2
     assert peak < 1e7

@@ -170,8 +170,9 @@ def test_offsets_need_times(session: Path, capsys: pytest.CaptureFixture[str]) -
 # --- live -------------------------------------------------------------------------------------------------------------
 
 
-# Frames per second, so few that a machine with other jobs keeps up; the frame that one camera does not have.
-RATE, MISSING = 2, 6
+# Frames per second, so few that a machine with other jobs gives them in time; how long they may wait for the tracker, which
+# may be late; the frame that one camera does not have.
+RATE, DELAY, MISSING = 2, 60, 6
 
 
 class Player:
@@ -200,7 +201,7 @@ class Player:
 def cameras(session: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, bool]:
     """A session of live cameras that play the recording; whether they do so forever."""
     sources = "".join(f"{name} = {c}\n" for c, name in enumerate(CAMERAS))
-    (session / "live.toml").write_text(f"max_delay = 0.5\nrate = {RATE}\n[sources]\n{sources}")
+    (session / "live.toml").write_text(f"max_delay = {DELAY}\nrate = {RATE}\n[sources]\n{sources}")
     played = {c: images(session / f"{name}.mp4") for c, name in enumerate(CAMERAS)}
     how = {"forever": False}
 
@@ -227,8 +228,7 @@ def test_live_cameras_are_tracked_to_their_end(session: Path, capsys: pytest.Cap
     trajectory = read_trajectory(out / "trajectory.csv")
     assert len(trajectory) >= FRAMES - 2
     assert trajectory.solved.mean() > 0.8
-    # On a machine that is late the frame that this camera lacks may be left out.
-    assert "without cam_1" in said.out or MISSING not in {pose.index for pose in trajectory}
+    assert "without cam_1" in said.out
 
 
 def test_ctrl_c_ends_live_cameras_with_all_files(
@@ -271,22 +271,28 @@ def test_what_live_cameras_cannot_do(session: Path, capsys: pytest.CaptureFixtur
         track_session(opened, resume=True)
 
 
-def test_a_growing_folder_is_tracked_as_it_grows(session: Path, tmp_path: Path) -> None:
+def test_a_growing_folder_is_tracked_as_it_grows(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     played = {name: images(session / f"{name}.mp4") for name in CAMERAS}
     for name in CAMERAS:
         (session / f"{name}.mp4").unlink()
         (session / name).mkdir()
-    command = [sys.executable, "-m", "sylpose", "track", str(session), "--follow", "--lossless", "--rate", "30"]
-    process = subprocess.Popen([*command, "--out", str(tmp_path / "out")], stdout=subprocess.PIPE, text=True)
-    for k in range(FRAMES):
-        for name in CAMERAS:
-            cv2.imwrite(str(session / name / "writing.bmp"), played[name][k])
-            (session / name / "writing.bmp").rename(session / name / f"{k:03d}.png")
-        time.sleep(0.05)
-    (session / "DONE").touch()
-    out, _ = process.communicate(timeout=120)
-    assert process.returncode == 0
-    assert f"of {FRAMES} frames" in out
+
+    def record() -> None:
+        for k in range(FRAMES):
+            for name in CAMERAS:
+                cv2.imwrite(str(session / name / "writing.bmp"), played[name][k])
+                (session / name / "writing.bmp").rename(session / name / f"{k:03d}.png")
+            time.sleep(0.05)
+        (session / "DONE").touch()
+
+    recorder = threading.Thread(target=record)
+    recorder.start()
+    command = ["track", str(session), "--follow", "--lossless", "--rate", "30", "--out", str(tmp_path / "out")]
+    assert main(command) == 0
+    recorder.join()
+    assert f"of {FRAMES} frames" in capsys.readouterr().out
     trajectory = read_trajectory(tmp_path / "out" / "trajectory.csv")
     assert [frame.index for frame in trajectory] == list(range(FRAMES))
     assert trajectory.times[-1] == pytest.approx((FRAMES - 1) / 30)

@@ -108,8 +108,15 @@ def with_earlier(out: Path) -> Path:
     return out
 
 
-@pytest.mark.parametrize("full", [False, True], ids=["cut", "full"])
-@pytest.mark.parametrize("smooth", [True, False], ids=["smooth", "plain"])
+@pytest.mark.parametrize(
+    ("smooth", "full"),
+    [
+        pytest.param(True, False, id="smooth-cut"),
+        pytest.param(True, True, id="smooth-full", marks=pytest.mark.slow),
+        pytest.param(False, False, id="plain-cut", marks=pytest.mark.slow),
+        pytest.param(False, True, id="plain-full"),
+    ],
+)
 def test_at_any_moment(
     opened: Session, whole: dict[bool, dict[str, bytes]], tmp_path: Path, smooth: bool, full: bool
 ) -> None:

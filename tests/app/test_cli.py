@@ -285,7 +285,7 @@ def endless(session: Path, n: int = 1000) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)])
 def test_interrupt_keeps_what_is_computed(session: Path, how: signal.Signals) -> None:
     endless(session)
     out = session / "sylpose"

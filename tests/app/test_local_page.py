@@ -37,7 +37,7 @@ def ask(
 ) -> tuple[int, bytes, Mapping[str, str]]:
     """What is answered; `whole`: a path instead of one below the page's address."""
     url = urlsplit(page.url)
-    connection = http.client.HTTPConnection("127.0.0.1", url.port or 0, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", url.port or 0, timeout=60)
     connection.request(method, url.path + path if whole is None else whole, body, dict(headers or {}))
     answer = connection.getresponse()
     said = answer.read()
@@ -111,7 +111,7 @@ def test_it_ends_with_its_context() -> None:
     with LocalPage({}, {}) as page:
         port = urlsplit(page.url).port or 0
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", port), timeout=2)
+        socket.create_connection(("127.0.0.1", port), timeout=60)
 
 
 def test_no_browser_is_opened_in_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:

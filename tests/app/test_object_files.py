@@ -31,8 +31,15 @@ from tests.takes import NEXT, RIG, Path_, elsewhere, errors, recorded, slide
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 
-@pytest.mark.parametrize("path", [elsewhere, slide])
-@pytest.mark.parametrize("smooth", [False, True], ids=["tracked", "smoothed"])
+@pytest.mark.parametrize(
+    ("path", "smooth"),
+    [
+        pytest.param(elsewhere, False, id="tracked-elsewhere", marks=pytest.mark.slow),
+        pytest.param(slide, False, id="tracked-slide"),
+        pytest.param(elsewhere, True, id="smoothed-elsewhere"),
+        pytest.param(slide, True, id="smoothed-slide", marks=pytest.mark.slow),
+    ],
+)
 def test_another_take_has_the_same_frame_from_its_first_frame_on(
     tmp_path: Path, known: KnownObject, actor_from_object: RigidTransform, path: Path_, smooth: bool
 ) -> None:
@@ -188,8 +195,15 @@ def test_whose_cameras_stand_where_they_stood(known: KnownObject) -> None:
 OTHERS = arc(3, 50, 1.8, 650, (640, 480), height=0.15)
 
 
-@pytest.mark.parametrize("smooth", [False, True], ids=["tracked", "smoothed"])
-@pytest.mark.parametrize("names", [("cam_0", "cam_1", "cam_2"), ("cam_1",)], ids=["three", "one"])
+@pytest.mark.parametrize(
+    ("names", "smooth"),
+    [
+        pytest.param(("cam_0", "cam_1", "cam_2"), False, id="three-tracked", marks=pytest.mark.slow),
+        pytest.param(("cam_0", "cam_1", "cam_2"), True, id="three-smoothed"),
+        pytest.param(("cam_1",), False, id="one-tracked"),
+        pytest.param(("cam_1",), True, id="one-smoothed", marks=pytest.mark.slow),
+    ],
+)
 def test_another_rig_finds_what_the_first_has_learnt(
     tmp_path: Path, known: KnownObject, actor_from_object: RigidTransform, names: tuple[str, ...], smooth: bool
 ) -> None:

@@ -75,7 +75,9 @@ def actor_from_new(known: KnownObject, new: KnownObject, actor_from_object: Rigi
 # --- poses are told of it -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("smooth", [False, True], ids=["tracked", "smoothed"])
+@pytest.mark.parametrize(
+    "smooth", [pytest.param(False, id="tracked", marks=pytest.mark.slow), pytest.param(True, id="smoothed")]
+)
 def test_another_frame_is_the_same_poses_told_of_it(tmp_path: Path, known: KnownObject, smooth: bool) -> None:
     """To rounding, with the same uncertainty: nothing that is decided depends on it."""
     session = open_session(recorded(tmp_path / "take", elsewhere, 6, seed=5))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import re
 import shutil
@@ -24,7 +25,8 @@ from sylpose.app.state import KINDS, RunState
 from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.files import beside
-from sylpose.report.files import read_trajectory
+from sylpose.report.files import TrajectoryWriter, read_trajectory
+from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.tracking.tracked_frame import TrackedFrame
 
@@ -34,28 +36,26 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 FRAMES = 7
 STOP = ("--stop", str(FRAMES))
 TRAJECTORIES = ("trajectory.tum", "trajectory.csv")
-# `sylpose` that gets a signal right after it wrote a frame's line: `-c KILLED SIGNAL LINE arguments`.
+# `sylpose` that is killed right after it wrote a frame's line: `-c KILLED LINE arguments`.
 KILLED = """
-import os, sys
+import os, signal, sys
 from sylpose.cli import main
 from sylpose.report.files import TrajectoryWriter
-which, line = int(sys.argv[1]), int(sys.argv[2])
+line = int(sys.argv[1])
 write, written = TrajectoryWriter.write, []
 def wrapped(self, pose):
     write(self, pose)
     written.append(pose)
     if len(written) == line:
-        os.kill(os.getpid(), which)
+        os.kill(os.getpid(), signal.SIGKILL)
 TrajectoryWriter.write = wrapped
-sys.exit(main(sys.argv[3:]))
+sys.exit(main(sys.argv[2:]))
 """
 
 
-def killed(line: int, *args: object, how: signal.Signals = signal.SIGKILL) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", KILLED, str(int(how)), str(line), *map(str, args)]
-    # A shell that starts tests in the background lets its children ignore the signal.
-    restore = None if sys.platform == "win32" else lambda: signal.signal(signal.SIGINT, signal.default_int_handler)
-    return subprocess.run(command, capture_output=True, text=True, check=False, preexec_fn=restore)
+def killed(line: int, *args: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", KILLED, str(line), *map(str, args)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -95,12 +95,29 @@ def test_a_killed_run_goes_on(recording: Path, whole: Path, tmp_path: Path, caps
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")
-def test_ctrl_c_saves_where_it_was(recording: Path, whole: Path, tmp_path: Path) -> None:
-    args = ("track", recording, *STOP, "--out", tmp_path, "--no-overlay")
-    done = killed(5, *args, how=signal.SIGINT)
-    assert done.returncode == 130
-    assert done.stderr == f"sylpose: interrupted after 5 of {FRAMES} frames; what was computed is in {tmp_path}\n"
-    assert main([*map(str, args), "--resume"]) == 0
+def test_ctrl_c_saves_where_it_was(
+    recording: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    args = ["track", str(recording), *STOP, "--out", str(tmp_path), "--no-overlay"]
+    write, written = TrajectoryWriter.write, list[FramePose]()
+
+    def interrupted_there(self: TrajectoryWriter, pose: FramePose) -> None:
+        write(self, pose)
+        written.append(pose)
+        if len(written) == 5:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    # Who starts tests in the background may have them ignore it.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(TrajectoryWriter, "write", interrupted_there)
+            assert main(args) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+    said = capsys.readouterr().err
+    assert said == f"sylpose: interrupted after 5 of {FRAMES} frames; what was computed is in {tmp_path}\n"
+    assert main([*args, "--resume"]) == 0
     assert same(tmp_path, whole)
 
 
@@ -127,12 +144,12 @@ def interrupted(session: Path, out: Path, after: int, **options: Any) -> None:
 @pytest.mark.parametrize(
     ("options", "after"),
     [
-        ({"method": "epipolar", "stop": 5}, 3),
+        pytest.param({"method": "epipolar", "stop": 5}, 3, marks=pytest.mark.slow),
         ({"method": "sylvester", "start": 1, "every": 2}, 3),
         ({"features": "klt", "offsets": {"cam_1": 0.002}, "stop": 7}, 5),
         ({"smooth": True, "stop": 6}, 4),
-        ({"smooth": False, "stop": 6}, 4),
-        ({"stop": 4}, 4),
+        pytest.param({"smooth": False, "stop": 6}, 4, marks=pytest.mark.slow),
+        pytest.param({"stop": 4}, 4, marks=pytest.mark.slow),
         ({"stop": 4, "checkpoint_seconds": 20}, 3),
     ],
     ids=["epipolar", "every other frame", "klt", "smooth", "not smooth", "after the last frame", "from the start"],

@@ -25,15 +25,19 @@ class Device:
     """Gives a frame whenever it is told to."""
 
     def __init__(self) -> None:
-        self.go, self.gone = threading.Semaphore(0), ""
+        self.go, self.asked, self.gone = threading.Semaphore(0), threading.Semaphore(0), ""
         self.given = 0
         self.size = SIZE
 
     def give(self) -> None:
+        """Until it is taken: the next one is asked for."""
+        assert self.asked.acquire(timeout=60)
         self.go.release()
-        time.sleep(0.02)
+        assert self.asked.acquire(timeout=60)
+        self.asked.release()
 
     def read(self) -> Grab | None:
+        self.asked.release()
         self.go.acquire()
         if self.gone == "ends":
             return None
@@ -92,9 +96,12 @@ def test_a_live_camera_that_fails_says_why(live: Live, device: Device, how: str)
         device.gone = "the cable is out"
     else:
         device.size = (8, 6)
-    device.give()
-    with pytest.raises(ValueError, match="0: the cable is out" if how == "broke" else "0: images of 8x6"):
-        live.newest(0)
+    device.go.release()
+    deadline = time.monotonic() + 60
+    with pytest.raises(ValueError, match="0: the cable is out" if how == "broke" else "0: images of 8x6"):  # noqa: PT012
+        while time.monotonic() < deadline:
+            live.newest(0)
+            time.sleep(0.01)
 
 
 def test_a_recording_is_played_at_its_speed_and_whole(tmp_path: Path) -> None:

@@ -47,6 +47,10 @@ def obey(recording: Recording, folder: Path, threads: int) -> Summary:
         os._exit(3)
     elif order == "sleep" or (order == "sleep-once" and first):
         time.sleep(float(rest))
+    elif order == "wait":  # for a file, not for long where a test has failed
+        deadline = time.monotonic() + 60
+        while not Path(rest).exists() and time.monotonic() < deadline:
+            time.sleep(0.02)
     elif order == "io" or (order == "io-once" and first):
         raise OSError("the disk is on strike")
     elif order == "wrong":

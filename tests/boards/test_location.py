@@ -33,7 +33,7 @@ KINDS = {
     "aruco:5X5_100,id=42,size=50mm": 0.08,
     "aprilgrid:3x2,size=88mm,gap=0.3": 0.03,
 }
-SEEDS = 6
+SEEDS = 4
 
 
 def as_turned(board: Board, turn: int) -> RigidTransform:

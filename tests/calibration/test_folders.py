@@ -303,7 +303,7 @@ def test_pickles_are_not_run(tmp_path: Path) -> None:
         (np.array([None]), "an array of 'O8', and not of numbers"),
         (np.array(["a"]), "an array of '[<]?U1'"),
         (np.ones(3, dtype=complex), "an array of 'c16'"),
-        (print, "wants builtins.print"),
+        (len, "wants builtins.len"),
         (np.random.default_rng, "wants numpy.random"),
         (slice(1), "wants builtins.slice"),
         ({1, 2}, "EMPTY_SET"),

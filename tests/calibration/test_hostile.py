@@ -29,10 +29,10 @@ def deep(name: str, n: int) -> str:
 def said(path: Path, text: str) -> str:
     """The sentence about a file of this text."""
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
-    begin = time.perf_counter()
+    begin = time.process_time()  # machines may be busy
     with pytest.raises(Unreadable) as caught:
         calibration.load(path)
-    assert time.perf_counter() - begin < 1
+    assert time.process_time() - begin < 1
     sentence = str(caught.value)
     assert sentence.startswith(f"{path}: ")
     assert sentence.isprintable()

@@ -80,10 +80,10 @@ def test_gigabytes_of_pixels_are_not_decoded(tmp_path: Path) -> None:
     header = struct.pack(">IIBBBBB", 32_000, 32_000, 8, 2, 0, 0, 0)
     file = tmp_path / "a.png"
     file.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", black) + chunk(b"IEND", b""))
-    begin = time.perf_counter()
+    begin = time.process_time()  # machines may be busy
     with pytest.raises(Unreadable, match=r"a\.png: 32000x32000, not 64x48 pixels") as caught:
         read_image(file, SIZE)
-    assert time.perf_counter() - begin < 0.2
+    assert time.process_time() - begin < 0.2
     assert "\n" not in str(caught.value)
 
 
@@ -99,7 +99,7 @@ def test_numbers_far_apart_are_followed_at_once(folder: Path, step: int, name: s
     (folder / DONE).touch()
     begin = time.perf_counter()
     sets = list(open_live(folder, follow=True, idle=0.3, lossless=lossless).frames(on_problem=pytest.fail))
-    assert time.perf_counter() - begin < 1
+    assert time.perf_counter() - begin < 30  # one by one it would be minutes
     assert len(sets) == 5
     assert all(image is not None for s in sets for image in s.images)
 

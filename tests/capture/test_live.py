@@ -297,8 +297,9 @@ def test_no_camera_at_all_is_an_error_that_says_why(folder: Path) -> None:
     assert str(caught.value).count("this camera gives no more") == 2
 
 
-def test_that_a_camera_cannot_be_opened_is_said_at_once(folder: Path) -> None:
-    """Not when all have been given up, after 15 seconds."""
+def test_that_a_camera_cannot_be_opened_is_said_at_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not when all have been given up, or tried again."""
+    monkeypatch.setattr("sylpose.capture.live.PAUSES", (60.0,))
     session, said = live(folder, {0: [], 1: []}), list[float]()
     begin = time.monotonic()
 
@@ -309,7 +310,7 @@ def test_that_a_camera_cannot_be_opened_is_said_at_once(folder: Path) -> None:
 
     assert list(session.frames(on_problem=heard)) == []
     assert len(said) == 2
-    assert max(said) < 2.0  # of 15.5 seconds of pauses
+    assert max(said) < 60.0
 
 
 @pytest.mark.usefixtures("hasty")
@@ -449,7 +450,7 @@ def test_a_silent_stream_does_not_hold_the_others_up(folder: Path, monkeypatch: 
         problems: list[str] = []
         begin = time.monotonic()
         sets = list(session.frames(stop=10, on_problem=problems.append))
-        assert time.monotonic() - begin < 6
+        assert time.monotonic() - begin < 30
     server.close()
     assert len(sets) == 10
     assert all(s.images[1] is None and s.images[0] is not None for s in sets)
@@ -485,32 +486,30 @@ def record(job: Callable[[], None]) -> threading.Thread:
 
 @pytest.mark.parametrize("lossless", [False, True])
 def test_a_growing_folder_is_given_as_it_grows(folder: Path, lossless: bool) -> None:
-    ages: list[float] = []
-    written: dict[int, float] = {}
+    ahead = threading.Semaphore(3)  # by so many images the recorder is, and waits for the reader
 
     def job() -> None:
         time.sleep(0.05)
         for k in range(25):
+            if not ahead.acquire(timeout=60):
+                break
             write(folder, "cam_0", k)
             write(folder, "cam_1", k)
-            written[k] = time.monotonic()
-            time.sleep(0.02)
         (folder / DONE).touch()
 
     thread = record(job)
-    session = follow(folder, idle=5, rate=50, lossless=lossless)
+    session = follow(folder, idle=60, rate=50, lossless=lossless)
     assert "cam_0, cam_1" in session.warnings[0]
     sets = []
     begin = time.monotonic()
     for frames in session.frames(on_problem=lambda _: None):
         sets.append(frames)
-        ages.append(time.monotonic() - written.get(frames.index, np.inf))
+        ahead.release()
     thread.join()
-    assert time.monotonic() - begin < 4  # DONE, not idle
+    assert time.monotonic() - begin < 60  # DONE, not idle
     assert [s.index for s in sets] == list(range(25))
     assert [shown(s) for s in sets] == [[k, k] for k in range(25)]
     assert sets[10].time == pytest.approx(0.2)
-    assert np.median(ages[3:]) < 0.1
     assert not any(session.dropped.values())
     assert not any(session.missed.values())
 
@@ -526,9 +525,10 @@ def test_half_written_files_are_waited_for(folder: Path) -> None:
                     file.write(part)
                     file.flush()
                     time.sleep(0.03)
+        (folder / DONE).touch()
 
     thread = record(job)
-    sets = list(follow(folder, max_delay=0.5).frames(on_problem=pytest.fail))
+    sets = list(follow(folder, idle=60, max_delay=30).frames(on_problem=pytest.fail))
     thread.join()
     assert [shown(s) for s in sets] == [[k, k] for k in range(6)]
 
@@ -543,7 +543,7 @@ def test_late_and_broken_files_are_left_out_counted_and_said(folder: Path) -> No
     problems: list[str] = []
     begin = time.monotonic()
     sets = list(session.frames(on_problem=problems.append))
-    assert time.monotonic() - begin < 2
+    assert time.monotonic() - begin < 30
     assert [shown(s) for s in sets] == [[0, 0], [1, 1], [2, None], [3, 3], [4, None], [5, 5]]
     assert session.missed == {"cam_0": 0, "cam_1": 2}
     assert any("0004.png" in p for p in problems)
@@ -586,8 +586,8 @@ def test_a_camera_that_dies_is_waited_for_only_a_few_times(folder: Path) -> None
         if k < 10:
             write(folder, "cam_1", k, written=1000.0)
     begin = time.monotonic()
-    sets = list(follow(folder, max_delay=0.1).frames(on_problem=lambda _: None))
-    assert time.monotonic() - begin < 2
+    sets = list(follow(folder, max_delay=0.5).frames(on_problem=lambda _: None))
+    assert time.monotonic() - begin < 0.8 * 30 * 0.5  # as long as it would take to wait for nearly all
     assert [shown(s)[1] for s in sets] == [*range(10), *[None] * 30]
 
 
@@ -599,7 +599,7 @@ def test_files_that_come_out_of_order_are_put_in_order(folder: Path) -> None:
             time.sleep(0.03)
 
     thread = record(job)
-    sets = list(follow(folder, max_delay=0.5).frames(on_problem=pytest.fail))
+    sets = list(follow(folder, idle=3, max_delay=3).frames(on_problem=pytest.fail))
     thread.join()
     assert [shown(s)[0] for s in sets] == list(range(8))
 

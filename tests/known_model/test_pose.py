@@ -264,7 +264,12 @@ def test_outliers_do_not_matter(
 
 @pytest.mark.parametrize(
     ("cameras", "per_camera", "options"),
-    [(1, 60, {"outliers": 0.3}), (4, 60, {"outliers": 0.5}), (16, 2, {}), (4, 30, {"body": BOARD, "noise_px": 1.0})],
+    [
+        (1, 60, {"outliers": 0.3}),
+        pytest.param(4, 60, {"outliers": 0.5}, marks=pytest.mark.slow),
+        pytest.param(16, 2, {}, marks=pytest.mark.slow),
+        (4, 30, {"body": BOARD, "noise_px": 1.0}),
+    ],
 )
 def test_covariance_tells_the_error(cameras: int, per_camera: int, options: dict[str, object]) -> None:
     nees = []

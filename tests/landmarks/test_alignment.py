@@ -628,9 +628,9 @@ def each_for_itself(
         def exchange(told: tuple[T, ...], nothing: tuple[T, ...], /) -> list[tuple[T, ...]]:  # noqa: ARG001
             rounds[c] += 1
             sent[c] = tuple(as_sent(part) for part in told)
-            together.wait(30)
+            together.wait(60)
             heard = list(sent)
-            together.wait(30)  # nobody sends again before all have read
+            together.wait(60)  # nobody sends again before all have read
             return heard
 
         return OneOfMany(sights[c], c, n, exchange, economical=economical).align(starts)

@@ -32,7 +32,7 @@ from sylpose.simulate import render_sequence
 from sylpose.simulate.demo import DemoTruth
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
-from tests.clips import Clip, errors
+from tests.clips import SIZE, Clip, errors
 from tests.network.test_simulated import FRAMES, clip  # noqa: F401
 
 pytest.importorskip("zenoh")
@@ -53,7 +53,7 @@ def network() -> str:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DemoTruth]:
     folder = tmp_path_factory.mktemp("recording")
-    return folder, render_sequence(folder, frames=8, turn_deg=15, n_cameras=3, seed=5)
+    return folder, render_sequence(folder, frames=6, turn_deg=12, n_cameras=3, seed=5, size=SIZE)
 
 
 def test_processes_have_the_trajectory_of_one(recording: tuple[Path, DemoTruth], network: str, tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_processes_have_the_trajectory_of_one(recording: tuple[Path, DemoTruth],
     # Whoever listens has it, too: a line for each frame of each node.
     lines = [json.loads(line) for line in poses]
     assert {line["node"] for line in lines} == set(NAMES)
-    last = [line for line in lines if line["frame"] == 7]
+    last = [line for line in lines if line["frame"] == 5]
     assert last
     assert all(line["took_part"] == list(NAMES) and line["status"] == "tracked" for line in last)
     pose = expected[-1].pose.world_from_object

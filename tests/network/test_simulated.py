@@ -20,6 +20,7 @@ from sylpose.network.simulated import Outcome, track_by_nodes
 from sylpose.network.smoothed import _sightings
 from sylpose.network.stepwise import NodesTracker
 from sylpose.network.words import HEADER, Hello, said_hello
+from sylpose.numerics.arrays import FloatArray
 from sylpose.paper.distributed.messages import Inbox, Packet
 from sylpose.paper.distributed.simulated import Disturbances
 from sylpose.results import FrameStatus, Status
@@ -37,6 +38,17 @@ FRAMES = 8
 @pytest.fixture(scope="module")
 def clip() -> Clip:
     return Clip.render(demo_scene(frames=FRAMES, turn_deg=25, size=SIZE, n_cameras=3, seed=2))
+
+
+@pytest.fixture(scope="module")
+def by_one(clip: Clip) -> list[TrackedFrame]:
+    """What one process finds in it, with boxes."""
+    return list(track(clip.frames(), clip.rig, clip.boxes))
+
+
+@pytest.fixture(scope="module")
+def by_nodes(clip: Clip) -> Outcome:
+    return track_by_nodes(clip.frames(), clip.rig, clip.boxes)
 
 
 def assert_same(found: Sequence[TrackedFrame], wanted: Sequence[TrackedFrame], apart: float = 0.0) -> None:
@@ -62,7 +74,7 @@ def assert_agreed(outcome: Outcome, cameras: Sequence[int]) -> None:
 @pytest.mark.parametrize(
     ("method", "with_boxes", "disturbances"),
     [
-        ("landmarks", True, Disturbances()),
+        pytest.param("landmarks", True, Disturbances(), marks=pytest.mark.slow),
         ("landmarks", True, Disturbances(loss=0.1, delay=2, seed=4)),
         ("landmarks", False, Disturbances(loss=0.3, seed=5)),
         ("epipolar", True, Disturbances()),
@@ -148,16 +160,15 @@ def test_a_camera_that_sees_nothing_has_the_pose_too(clip: Clip) -> None:
     assert_agreed(outcome, range(3))
 
 
-@pytest.mark.parametrize("dies", [60, 180])
-def test_the_others_go_on_without_a_node_that_dies(clip: Clip, dies: int) -> None:
-    expected = list(track(clip.frames(), clip.rig, clip.boxes))
+@pytest.mark.parametrize("dies", [pytest.param(60, marks=pytest.mark.slow), 180])
+def test_the_others_go_on_without_a_node_that_dies(clip: Clip, by_one: list[TrackedFrame], dies: int) -> None:
     outcome = track_by_nodes(clip.frames(), clip.rig, clip.boxes, disturbances=Disturbances(dies={1: dies}))
     assert outcome.members[0] == outcome.members[2] == (0, 2)
     assert_agreed(outcome, [0, 2])
     of_dead = outcome.frames[1]
     assert 0 < len(of_dead) < FRAMES
     # What it said until then is what all said.
-    assert_same(of_dead, expected[: len(of_dead)], 1e-11)
+    assert_same(of_dead, by_one[: len(of_dead)], 1e-11)
     found = outcome.frames[0]
     assert len(found) == FRAMES
     assert {f.pose.status for f in found[1:]} == {FrameStatus.TRACKED}
@@ -180,11 +191,11 @@ def good(found: Sequence[TrackedFrame], clip: Clip, worst: float) -> bool:
 @pytest.mark.parametrize(
     "disturbances",
     [
-        Disturbances(joins={2: 60}),
+        pytest.param(Disturbances(joins={2: 60}), marks=pytest.mark.slow),
         Disturbances(joins={0: 100}, loss=0.2, delay=2, seed=3),
         Disturbances(dies={1: 60}, returns={1: 110}),
-        Disturbances(dies={0: 70}, returns={0: 75}),
-        Disturbances(apart=(60, 140, frozenset({1}))),
+        pytest.param(Disturbances(dies={0: 70}, returns={0: 75}), marks=pytest.mark.slow),
+        pytest.param(Disturbances(apart=(60, 140, frozenset({1}))), marks=pytest.mark.slow),
         Disturbances(apart=(60, 140, frozenset({0, 1})), loss=0.1, seed=6),
     ],
     ids=["late", "late, lossy", "back after a while", "back at once", "one apart", "two apart, lossy"],
@@ -222,12 +233,11 @@ def test_who_comes_before_anything_has_moved_waits_with_the_others(clip: Clip) -
     assert sum(f.pose.measured for f in outcome.frames[2]) >= FRAMES - 2
 
 
-def test_cameras_that_all_come_late_found_a_group(clip: Clip) -> None:
+def test_cameras_that_all_come_late_found_a_group(clip: Clip, by_one: list[TrackedFrame]) -> None:
     joins = {0: 3, 1: 20, 2: 9}
     outcome = track_by_nodes(clip.frames(), clip.rig, clip.boxes, disturbances=Disturbances(joins=joins))
     assert outcome.members == [(0, 1, 2)] * 3
-    expected = list(track(clip.frames(), clip.rig, clip.boxes))
-    assert_same(outcome.frames[0], expected, 1e-11)
+    assert_same(outcome.frames[0], by_one, 1e-11)
     assert_agreed(outcome, range(3))
 
 
@@ -274,10 +284,21 @@ def four() -> Clip:
     return Clip.render(demo_scene(frames=6, turn_deg=18, size=SIZE, n_cameras=4, seed=2))
 
 
+@pytest.fixture(scope="module")
+def without_it(four: Clip) -> FloatArray:
+    """(2,) rms degrees and millimetres where camera 1 sees nothing."""
+    without = [replace(f, images=(f.images[0], None, *f.images[2:])) for f in four.frames()]
+    return rms(list(track(without, four.rig, four.boxes)), four)
+
+
+def rms(found: Sequence[TrackedFrame], clip: Clip) -> FloatArray:
+    return np.asarray(np.sqrt(np.nanmean(errors(found, clip.truth) ** 2, axis=0)))
+
+
 @pytest.mark.parametrize(
     ("lie", "mode", "loss", "said"),
     [
-        ("two-faced", "exact", 0.0, "it told others something else"),
+        pytest.param("two-faced", "exact", 0.0, "it told others something else", marks=pytest.mark.slow),
         ("two-faced", "economical", 0.1, "it told others something else"),
         ("accusing", "exact", 0.0, "it told others something else"),
         ("whispering", "economical", 0.0, "it or camera 2 lies of what it told"),
@@ -286,7 +307,7 @@ def four() -> Clip:
     ],
 )
 def test_the_others_go_on_beside_a_node_that_lies(
-    four: Clip, lie: Lie, mode: str, loss: float, said: str | None
+    four: Clip, without_it: FloatArray, lie: Lie, mode: str, loss: float, said: str | None
 ) -> None:
     """Alike, and about as well as if it had not been there; what was said before it was found out is no frame's."""
     disturbances = Disturbances(loss=loss, seed=1)
@@ -296,15 +317,15 @@ def test_the_others_go_on_beside_a_node_that_lies(
     found = outcome.frames[good[0]]
     assert [f.pose.index for f in found] == list(range(6))
     assert {f.pose.status for f in found[1:]} == {FrameStatus.TRACKED}
-    without = [replace(f, images=(f.images[0], None, *f.images[2:])) for f in four.frames()]
-    was = np.sqrt(np.nanmean(errors(list(track(without, four.rig, four.boxes)), four.truth) ** 2, axis=0))
-    assert (np.sqrt(np.nanmean(errors(found, four.truth) ** 2, axis=0)) < 1.5 * was).all()
+    assert (rms(found, four) < 1.5 * without_it).all()
     for c in good:
         assert outcome.refused[c].get(1) == said
         assert outcome.refused[c].keys() <= ({1, 2} if lie == "whispering" else {1})
 
 
-@pytest.mark.parametrize("seed", [1, 5, 8, 11])
+@pytest.mark.parametrize(
+    "seed", [1, pytest.param(5, marks=pytest.mark.slow), 8, pytest.param(11, marks=pytest.mark.slow)]
+)
 def test_a_node_whose_bytes_flip_harms_nobody(four: Clip, seed: int) -> None:
     boxes = four.boxes if seed % 2 else None
     outcome = track_by_nodes(
@@ -344,7 +365,7 @@ def test_the_economical_mode_is_as_good_in_fewer_rounds_and_bytes(clip: Clip) ->
     assert_agreed(few, range(3))
     assert sum(len(told) for told in few.told) < 0.7 * sum(len(told) for told in exact.told)
     assert sum(map(sum, few.told)) < 0.6 * sum(map(sum, exact.told))
-    was, by_few = (np.sqrt(np.nanmean(errors(found, clip.truth) ** 2, axis=0)) for found in (expected, few.frames[0]))
+    was, by_few = (rms(found, clip) for found in (expected, few.frames[0]))
     assert (by_few < 1.1 * was + 1e-3).all()
     # It is another way to about the same, not the same way.
     apart = difference(few.frames[0], expected)
@@ -356,11 +377,11 @@ def test_a_mode_that_there_is_not_is_refused(clip: Clip) -> None:
         track_by_nodes(clip.frames(), clip.rig, clip.boxes, mode="quick")
 
 
-def test_nodes_smooth_as_one_process_does(clip: Clip) -> None:
+def test_nodes_smooth_as_one_process_does(clip: Clip, by_one: list[TrackedFrame], by_nodes: Outcome) -> None:
     """By what each camera tells of its own sights, once."""
-    expected = smooth([Track.of(f) for f in track(clip.frames(), clip.rig, clip.boxes)], clip.rig)
+    expected = smooth([Track.of(f) for f in by_one], clip.rig)
     assert expected.status is Status.OK
-    told = track_by_nodes(clip.frames(), clip.rig, clip.boxes).told
+    told = by_nodes.told
     outcome = track_by_nodes(clip.frames(), clip.rig, clip.boxes, smooth=True)
     first, *others = outcome.smoothed
     assert first is not None
@@ -393,14 +414,13 @@ def test_sights_of_what_is_not_there_are_none() -> None:
     assert [len(s.landmark) for s in _sightings(replace(told, frame=np.array([1])), 2)] == [0, 1]
 
 
-def test_nodes_that_are_fed_frame_by_frame(clip: Clip) -> None:
-    expected = list(track(clip.frames(), clip.rig, clip.boxes))
+def test_nodes_that_are_fed_frame_by_frame(clip: Clip, by_one: list[TrackedFrame]) -> None:
     with NodesTracker(clip.rig, clip.boxes, mode="exact") as tracker:
         found = [f for frame in clip.frames() for f in tracker.step(frame)]
         assert len(found) >= FRAMES - 1
         found += tracker.flush()
-    assert_same(found, expected, 1e-11)
-    for mine, wanted in zip(found, expected, strict=True):
+    assert_same(found, by_one, 1e-11)
+    for mine, wanted in zip(found, by_one, strict=True):
         for one, other in zip(mine.sightings, wanted.sightings, strict=True):
             np.testing.assert_array_equal(one.landmark, other.landmark)
     assert tracker.cost().startswith("3 nodes told each other ")

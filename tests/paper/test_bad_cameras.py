@@ -180,8 +180,8 @@ def test_good_cameras_are_not_named(n: int) -> None:
     ("spoil", "kind", "found_at_least"),
     [
         (turned(180), "calibration", 6),
-        (mirrored, "calibration", 7),
-        (frozen, "frozen", 7),
+        pytest.param(mirrored, "calibration", 7, marks=pytest.mark.slow),
+        pytest.param(frozen, "frozen", 7, marks=pytest.mark.slow),
         (junk, "junk", 10),
     ],
 )
@@ -198,7 +198,15 @@ def test_a_bad_camera_of_eight_is_named_and_does_no_harm(spoil: Spoil, kind: str
     assert median[0] > 1.2 * median[2]  # left in, they do harm
 
 
-@pytest.mark.parametrize(("turn", "shift"), [(0.0, 0.0), (0.0, 0.03), (1.0, 0.03), (15.0, 0.03)])
+@pytest.mark.parametrize(
+    ("turn", "shift"),
+    [
+        (0.0, 0.0),
+        pytest.param(0.0, 0.03, marks=pytest.mark.slow),
+        (1.0, 0.03),
+        pytest.param(15.0, 0.03, marks=pytest.mark.slow),
+    ],
+)
 def test_no_camera_is_named_before_a_board_seen_obliquely(turn: float, shift: float) -> None:
     """With slopes of a normal distribution 11 % of them were; 4 % of those that stood still, by the noise of x."""
     found = [outcome(board(n, turn, seed, shift=shift)) for n in (4, 8) for seed in range(8)]
@@ -206,7 +214,15 @@ def test_no_camera_is_named_before_a_board_seen_obliquely(turn: float, shift: fl
     assert sum(o.unsure for o in found) <= 1
 
 
-@pytest.mark.parametrize(("spoil", "found_at_least"), [(turned(180), 12), (mirrored, 12), (frozen, 12), (junk, 18)])
+@pytest.mark.parametrize(
+    ("spoil", "found_at_least"),
+    [
+        (turned(180), 12),
+        pytest.param(mirrored, 12, marks=pytest.mark.slow),
+        pytest.param(frozen, 12, marks=pytest.mark.slow),
+        (junk, 18),
+    ],
+)
 def test_a_bad_camera_before_a_board_is_named_still(spoil: Spoil, found_at_least: int) -> None:
     """Of eight cameras, 78 to 100 % (docs/benchmarks.md#bad-sensors)."""
     found = [outcome(board(8, 10.0, seed, spoil, tilt=4.0 * seed)) for seed in range(20)]

@@ -305,7 +305,9 @@ def settled(H: FloatArray, h: FloatArray, starts: FloatArray) -> FloatArray:
     return np.asarray(R[done])
 
 
-@pytest.mark.parametrize("cameras", [1, 2, 3, 4])
+@pytest.mark.parametrize(
+    "cameras", [1, pytest.param(2, marks=pytest.mark.slow), 3, pytest.param(4, marks=pytest.mark.slow)]
+)
 def test_a_thousand_random_starts_find_nothing_better_and_no_other_minimum(cameras: int) -> None:
     for seed in range(5):
         H, h = camera_cost(seed, cameras, noise=0.3)

@@ -83,10 +83,17 @@ def test_where_depth_is_uncorrelated_no_more_is_said_than_noise_and_chance_leave
 
 
 BODIES = {"ellipsoid": ellipsoid((0.15, 0.12, 0.1)), "box": box(), "board": plane()}
+QUICK = (("ellipsoid", 1.0), ("box", 5.0), ("board", 20.0))
 
 
-@pytest.mark.parametrize("turn", [1.0, 5.0, 20.0])
-@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize(
+    ("body", "turn"),
+    [
+        pytest.param(body, turn, marks=() if (body, turn) in QUICK else pytest.mark.slow)
+        for body in BODIES
+        for turn in (1.0, 5.0, 20.0)
+    ],
+)
 def test_errors_on_surfaces_are_what_the_covariance_says(body: str, turn: float) -> None:
     found = list(seen(around(5), BODIES[body], turn, range(30)))
     assert 1.0 < np.mean([f.nees for f in found]) < 6.0

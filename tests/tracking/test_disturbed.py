@@ -157,7 +157,7 @@ def test_something_passes_in_front(sides: tuple[float, float, float]) -> None:
     assert error[:, 1].max() < 4
 
 
-@pytest.mark.parametrize(("gap", "seed"), [(0, 12), (4, 11)])
+@pytest.mark.parametrize(("gap", "seed"), [(0, 12), pytest.param(4, 11, marks=pytest.mark.slow)])
 def test_another_body_in_its_place_is_not_taken_for_it(gap: int, seed: int) -> None:
     """Of the same shape and with other pictures on it."""
     extent = np.ptp(moving_scene(drifting, 1).actors[0].body.vertices, axis=0)

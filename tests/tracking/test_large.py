@@ -16,7 +16,7 @@ from sylpose.simulate import render_frames
 from sylpose.tracking import camera as camera_module
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.tracker import track
-from tests.clips import HALF_DEGREE, SIZE, Clip, assert_valid, board_before, drifting, errors, moving_scene, statuses
+from tests.clips import HALF_DEGREE, SIZE, assert_valid, drifting, errors, hidden_clip, moving_scene, statuses
 
 # What the images of this size are reduced to: half of their pixels.
 PIXELS = SIZE[0] * SIZE[1] // 2
@@ -25,13 +25,6 @@ PIXELS = SIZE[0] * SIZE[1] // 2
 @pytest.fixture
 def large(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_module, "SEARCH_PIXELS", PIXELS)
-
-
-@cache
-def hidden_clip() -> Clip:
-    """Hidden from all four cameras in frames 7 to 9 of 15."""
-    rig = moving_scene(drifting, 1).rig
-    return Clip.render(moving_scene(drifting, 15, [board_before(camera, 7, 9) for camera in rig]))
 
 
 @cache
@@ -68,7 +61,7 @@ def test_few_pixels_are_looked_at_as_they_are() -> None:
 
 
 @pytest.mark.usefixtures("large")
-@pytest.mark.parametrize("boxed", [True, False])
+@pytest.mark.parametrize("boxed", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_an_object_is_found_and_found_again(boxed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whole images are reduced, the object's regions are not: what is learnt of it is as exact as they allow."""
     sizes: dict[bool, list[int]] = {True: [], False: []}

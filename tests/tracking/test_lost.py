@@ -18,6 +18,7 @@ from tests.clips import (
     board_before,
     drifting,
     errors,
+    hidden_clip,
     inliers,
     moving_scene,
     normalised_squares,
@@ -28,8 +29,7 @@ from tests.clips import (
 
 @pytest.mark.parametrize(("features", "back", "most_deg", "most_mm"), [("klt", 10, 0.8, 3), ("sift", 10, 0.3, 1)])
 def test_all_cameras_covered_for_a_few_frames(features: str, back: int, most_deg: float, most_mm: float) -> None:
-    rig = moving_scene(drifting, 1).rig
-    clip = Clip.render(moving_scene(drifting, 15, [board_before(camera, 7, 9) for camera in rig]))
+    clip = hidden_clip()
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, features=features))
     # Found again at once, by SIFT's three keyframes, or with all that was to be seen in the last frame before.
     assert statuses(tracked) == [
@@ -112,7 +112,7 @@ def test_leaving_and_coming_back() -> None:
     assert_valid(tracked)
 
 
-@pytest.mark.parametrize("steady", [3, 8])
+@pytest.mark.parametrize("steady", [pytest.param(3, marks=pytest.mark.slow), 8])
 def test_a_jump(steady: int) -> None:
     """15 degrees and a tenth of the distance from one frame to the next, after slow and steady motion."""
 
@@ -129,9 +129,8 @@ def test_a_jump(steady: int) -> None:
 
 
 def test_why_a_frame_has_no_pose() -> None:
-    rig = moving_scene(drifting, 1).rig
-    clip = Clip.render(moving_scene(drifting, 12, [board_before(camera, 7, 9) for camera in rig]))
-    tracked = list(track(clip.frames(), clip.rig, clip.boxes))
+    clip = hidden_clip()
+    tracked = list(track(clip.frames()[:12], clip.rig, clip.boxes))
     for frame in tracked:
         pose, sought = frame.pose, frame.sought
         if pose.status is FrameStatus.FIRST:

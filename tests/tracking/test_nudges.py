@@ -217,7 +217,7 @@ def said_of(tracked: Sequence[TrackedFrame]) -> list[set[tuple[str, ...]]]:
     return [{said.groups() for fault in f.pose.faults if (said := SAID.match(fault))} for f in tracked]
 
 
-@pytest.mark.parametrize("boxed", [True, False])
+@pytest.mark.parametrize("boxed", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_nudged_camera_is_named_and_goes_on(clip: Clip, boxed: bool) -> None:
     tracked = list(track(nudged(clip, 1.0), clip.rig, clip.boxes if boxed else None))
     *_, told = said = said_of(tracked)

@@ -126,7 +126,7 @@ def loop() -> Clip:
     return Clip.render(moving_scene(circle(48), 52))
 
 
-@pytest.fixture(scope="module", params=["klt", "sift"])
+@pytest.fixture(scope="module", params=["klt", pytest.param("sift", marks=pytest.mark.slow)])
 def around(loop: Clip, request: pytest.FixtureRequest) -> list[TrackedFrame]:
     return list(track(loop.frames(), loop.rig, loop.boxes, features=request.param))
 
@@ -179,8 +179,13 @@ def test_a_landmarks_number_is_one_place_on_the_object(loop: Clip, around: list[
 # --- checkpoints
 
 
-@pytest.mark.parametrize("cut", [0, 1, 4, 6])
-@pytest.mark.parametrize("with_boxes", [True, False])
+@pytest.mark.parametrize(
+    ("with_boxes", "cut"),
+    [
+        *((True, 1), (True, 4), (False, 0), (False, 6)),
+        *(pytest.param(*other, marks=pytest.mark.slow) for other in ((True, 0), (True, 6), (False, 1), (False, 4))),
+    ],
+)
 def test_a_tracker_goes_on_from_a_checkpoint(cut: int, with_boxes: bool) -> None:
     clip, whole = turning_clip(), tracked_turning(with_boxes)
     frames, boxes = clip.frames(), clip.boxes if with_boxes else None

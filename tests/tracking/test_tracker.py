@@ -357,8 +357,15 @@ def test_another_run_changes_nothing(clip: Clip, tracked: Sequence[TrackedFrame]
 # --- uncertainty
 
 
-@pytest.mark.parametrize("with_boxes", [True, False])
-@pytest.mark.parametrize("features", ["klt", "sift"])
+@pytest.mark.parametrize(
+    ("features", "with_boxes"),
+    [
+        ("klt", True),
+        pytest.param("klt", False, marks=pytest.mark.slow),
+        pytest.param("sift", True, marks=pytest.mark.slow),
+        ("sift", False),
+    ],
+)
 def test_going_back_leaves_no_trace(clip: Clip, with_boxes: bool, features: str) -> None:
     """What a frame taught is forgotten, whichever: its answer and all later ones are those of who never saw it before."""
     boxes, frames = clip.boxes if with_boxes else None, clip.frames()[:6]

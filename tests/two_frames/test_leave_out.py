@@ -59,8 +59,13 @@ def only_bad_is_named(found: Motion, rig: Rig) -> bool:
     )
 
 
-@pytest.mark.parametrize("angle", [5.0, 10.0, 20.0, 45.0])
-@pytest.mark.parametrize("cameras", [4, 6])
+@pytest.mark.parametrize(
+    ("cameras", "angle"),
+    [
+        *((4, 5.0), (6, 10.0), (4, 20.0), (6, 45.0)),
+        *(pytest.param(*other, marks=pytest.mark.slow) for other in ((6, 5.0), (4, 10.0), (6, 20.0), (4, 45.0))),
+    ],
+)
 def test_a_wrong_calibration_is_named_and_left_out(cameras: int, angle: float) -> None:
     rig, ratios, named = around(cameras), [], 0
     # What is hardly wrong shows in some scenes, and not in others.
@@ -117,7 +122,9 @@ def test_one_word_against_another_is_none() -> None:
     assert found.faults == ()
 
 
-@pytest.mark.parametrize("rig", [around(4), arc(4, 20.0), dome(8)], ids=["around", "arc", "dome"])
+@pytest.mark.parametrize(
+    "rig", [around(4), arc(4, 20.0), pytest.param(dome(8), marks=pytest.mark.slow)], ids=["around", "arc", "dome"]
+)
 @pytest.mark.parametrize("kind", ["uniform", "static", "second_motion"])
 def test_good_cameras_with_outliers_are_not_named(rig: Rig, kind: str) -> None:
     named = 0

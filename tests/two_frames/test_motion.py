@@ -95,10 +95,10 @@ def test_inliers_are_the_inliers() -> None:
     ("rig", "turn", "options", "least_median"),
     [
         (rig_of(4), 5.0, {}, 3.5),
-        (rig_of(8), 10.0, {"noise_px": 1.0, "per_camera": 20}, 3.5),
+        pytest.param(rig_of(8), 10.0, {"noise_px": 1.0, "per_camera": 20}, 3.5, marks=pytest.mark.slow),
         # What is believed of the surfaces allows for more than an ellipsoid, and two cameras tell least about it.
         (simulate.arc(2, 40, height=[0.3, -0.3]), 5.0, {}, 3.0),
-        (rig_of(4), 1.0, {"noise_px": 0.25}, 3.5),
+        pytest.param(rig_of(4), 1.0, {"noise_px": 0.25}, 3.5, marks=pytest.mark.slow),
         (rig_of(4), 5.0, {"outliers": 0.3}, 3.5),
     ],
     ids=["dome of 4", "dome of 8, 1 px", "two cameras", "turn of 1 degree", "outliers"],

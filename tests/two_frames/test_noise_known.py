@@ -38,7 +38,9 @@ def noisy(rig: Rig, matches: Sequence[Matches], noise_px: FloatArray, rng: np.ra
     ]
 
 
-@pytest.mark.parametrize(("per_camera", "outliers"), [(15, 0.0), (40, 0.0), (40, 0.2)])
+@pytest.mark.parametrize(
+    ("per_camera", "outliers"), [(15, 0.0), pytest.param(40, 0.0, marks=pytest.mark.slow), (40, 0.2)]
+)
 def test_covariance_tells_the_error_where_noise_is_unequal(per_camera: int, outliers: float) -> None:
     known, squares = [], {True: 0.0, False: 0.0}
     for seed in range(60):

@@ -38,7 +38,7 @@ from sylpose.paper.distributed.simulated import (
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import arc, dome, ellipsoid, random_motion, ring, simulate_matches
-from tests.paper.test_centralized import general_cameras, moments_of, noisy_problem, orthographic, quick, seeds
+from tests.paper.test_centralized import general_cameras, moments_of, noisy_problem, orthographic, seeds
 from tests.scenes import BODY, angle, around, random_rotations
 from tests.where import DATA
 
@@ -82,7 +82,7 @@ def check(found: Agreement, reference: CentralizedSolution, cameras: Sequence[in
 
 
 @given(seeds, st.integers(3, 6))
-@quick
+@settings(max_examples=10, deadline=None)
 @schemes
 def test_every_camera_has_the_centralised_answer(solve: Solve, seed: int, n: int) -> None:
     """For turns of any size."""
@@ -121,7 +121,7 @@ def test_the_status_is_the_centralised_one_where_little_is_seen(solve: Solve) ->
 @schemes
 @pytest.mark.parametrize("n", [2, 5])
 def test_parallel_cameras_agree_on_one_of_two_mirrored_rotations(solve: Solve, n: int) -> None:
-    for seed in range(8):
+    for seed in range(4):
         rng = np.random.default_rng(seed)
         cameras, turn = np.repeat(random_rotations(rng, 1), n, axis=0), Rotation.from_rotvec(rng.normal(size=3) * 0.2)
         moments = moments_of(orthographic(rng, cameras, turn.as_matrix(), noise=0.02))
@@ -171,7 +171,9 @@ def test_sixteen_cameras_refine_in_at_most_a_hundred_rounds_of_72_bytes(rig: Rig
     assert all(any(104 * k in left or 104 * k + leap in left for k in range(5)) for left in without)
 
 
-@pytest.mark.parametrize("turn", [1.0, 3.0, 5.0, 10.0, 20.0])
+@pytest.mark.parametrize(
+    "turn", [1.0, pytest.param(3.0, marks=pytest.mark.slow), 5.0, pytest.param(10.0, marks=pytest.mark.slow), 20.0]
+)
 def test_good_cameras_reveal_rotations_only(turn: float) -> None:
     """Nobody calls for the evidence because a leaning surface makes the common rotation biased."""
     calls = []
@@ -391,7 +393,9 @@ def test_every_kind_of_nonsense_is_tested() -> None:
 
 
 @pytest.mark.parametrize("kind", LIARS)
-@pytest.mark.parametrize(("n", "liars"), [(4, [1]), (5, [0]), (8, [6]), (8, [2, 5])])
+@pytest.mark.parametrize(
+    ("n", "liars"), [(4, [1]), (5, [0]), pytest.param(8, [6], marks=pytest.mark.slow), (8, [2, 5])]
+)
 def test_well_formed_liars_among_refining_cameras_are_named_and_left_out(
     kind: Nonsense, n: int, liars: list[int]
 ) -> None:
@@ -455,7 +459,7 @@ def with_fault(problem: Problem, camera: int, kind: str, seed: int) -> Problem:
 def test_bad_cameras_are_named_as_by_the_robust_estimator(solve: Solve, kind: str) -> None:
     """With its answer at every camera, the bad one, which is honest, included."""
     named = 0
-    for seed in range(4):
+    for seed in range(2):
         problem = with_fault(seen(around(8), seed, turn=10.0), seed, kind, seed)
         expected, found = solve_robust(*problem), solve(*problem)
         assert set(found.faults) == {c for c, fault in enumerate(expected.faults) if fault is not None}
@@ -466,7 +470,7 @@ def test_bad_cameras_are_named_as_by_the_robust_estimator(solve: Solve, kind: st
         for c, text in found.faults.items():
             assert text.startswith(f"camera {c}: ")
             assert kind in text
-    assert named >= (2 if kind == "calibration" else 4)
+    assert named >= (1 if kind == "calibration" else 2)
 
 
 @schemes
