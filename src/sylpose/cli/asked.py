@@ -106,7 +106,7 @@ def options_of(command: Callable[..., None]) -> dict[str, str]:
         for its in getattr(hint, "__metadata__", ()):
             if isinstance(its, OptionInfo):
                 # Typer has the first word where an option's default is, until it builds the command.
-                words = [word for word in (its.default, *(its.param_decls or ())) if str(word).startswith("--")]
+                words = [str(w) for w in (its.default, *(its.param_decls or ())) if str(w).startswith("--")]
                 found[name] = words[0].partition("/")[0] if words else f"--{name.replace('_', '-')}"
     return found | {name: option for name, option in _IN_PYTHON.items() if option in found.values()}
 
