@@ -98,8 +98,8 @@ def to_text(rig: Rig, suffix: str) -> str:
     """
     if len(rig) != 2:
         raise ValueError(
-            f"an OpenCV stereo calibration is of two cameras, not of {len(rig)} ({', '.join(rig.names)}); Rig.subset chooses "
-            "two, or --only CAM --only CAM of sylpose calibration convert"
+            f"an OpenCV stereo calibration is of two cameras, not of {len(rig)} ({', '.join(rig.names)}); Rig.subset "
+            "chooses two, or --only CAM --only CAM of sylpose calibration convert"
         )
     first, second = rig
     for what, same in (("sizes", first.size == second.size), ("lens models", first.lens == second.lens)):

@@ -93,8 +93,8 @@ def estimate_pose(
         max_error_px: matches further off than this are wrong, whatever the noise; set it to five times the largest
             noise that is to be expected.
         noise_px: (C,) what is known of the noise in each camera, the standard deviation of a coordinate, pixels; or a number
-            by each camera's name. Cameras count accordingly, `max_error_px` is of the one with the least and in proportion of
-            others, and no less noise is believed; where the matches show more, more is. Infinite: the camera has no say.
+            by each camera's name. Cameras count accordingly, `max_error_px` is of the one with the least and, of others, in
+            proportion, and no less noise is believed; where the matches show more, more is. Infinite: the camera has no say.
             None: the matches alone tell.
         seed: of the search. Same input and seed, same result.
 
