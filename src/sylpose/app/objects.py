@@ -64,12 +64,13 @@ def show_aloud(path: Path) -> None:
 def facts_of(known: KnownObject) -> list[tuple[str, str]]:
     """What is said of an object."""
     good, unit = known_well(known), known.unit
+    bound = text.length(KNOWN_DEPTH * known.radius, unit)
     turns = Rotation.concatenate([k.world_from_object.rotation for k in known._keyframes])
     angle = np.degrees((turns * turns[0].inv()).magnitude().max())
     facts = [
         (
             "Object",
-            f"{known.mark}, {len(known.places)} landmarks, {len(good)} of them known well: to {text.length(KNOWN_DEPTH * known.radius, unit)} in depth",
+            f"{known.mark}, {len(known.places)} landmarks, {len(good)} of them known well: to {bound} in depth",
         ),
         ("Keyframes", f"{len(known._keyframes)}, turned by {angle:.0f}° at most"),
         ("Radius", text.length(known.radius, unit)),
