@@ -12,7 +12,9 @@ ENV NUMBA_CPU_NAME=generic \
 WORKDIR /build
 COPY pyproject.toml README.md LICENSE ./
 COPY src src
-RUN python -m pip install --no-cache-dir ".[archive,network]" \
+# Which of the extras in docs/install.md are wanted.
+ARG EXTRAS=archive,export,network,usd,viewer
+RUN python -m pip install --no-cache-dir ".[${EXTRAS}]" \
     && rm -rf /build
 
 # Beside the sources, where everybody reads it and nobody but root writes.

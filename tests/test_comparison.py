@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.app.compare import may_differ
 from sylpose.cli import main, results
 from sylpose.comparison import Alignment, compared, pairs_in_time, statistics
 from sylpose.numerics.arrays import FloatArray
@@ -178,3 +179,24 @@ def test_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     (tmp_path / "a.tum").write_text("# nothing\n")
     assert main(ask) == 2
     assert "a.tum: no pose in it" in capsys.readouterr().err
+
+
+def test_other_worlds_units_and_calibrations_are_said(tmp_path: Path) -> None:
+    def run(name: str, world: str | None, digest: str) -> Path:
+        (tmp_path / name).mkdir()
+        told = "" if world is None else f'world = "{world}"\n'
+        (tmp_path / name / "settings.toml").write_text(f'[options]\n{told}[checksums]\ncalibration = "{digest}"\n')
+        return tmp_path / name
+
+    plain, up, other = run("plain", None, "a"), run("up", "up=-y", "b"), run("other", None, "c")
+    again = run("again", "up=-y", "b")
+    for align in get_args(Alignment):
+        assert may_differ(up, again, "m", "m", align) == []
+        said = may_differ(plain, up, "m", "m", align)
+        assert len(said) == (align != "both")
+        assert all("different worlds (its calibration's; up=-y): --align both" in sentence for sentence in said)
+        assert len(may_differ(plain, other, "m", "m", align)) == (align != "both")
+        assert len(may_differ(plain, plain, "m", "", align)) == (align != "sim3")
+    assert may_differ(plain / "a.tum", up, "", "", "first") == []
+    assert may_differ(plain / "a.csv", up / "b.csv", "m", "mm", "first") != []
+    assert may_differ(plain, other, "m", "mm", "first") == []  # told in the same, and digests have the unit in them

@@ -50,7 +50,7 @@ def replacing(path: Path | str, *, mode: int | None = None) -> Iterator[Path]:
     or the other, whole. Where the block fails, the one that was there is as it was.
 
     Args:
-        path: a link is followed; what is no file, such as /dev/null, is written to as it is.
+        path: a link is followed; what is no file, such as /dev/null, is written to as it is; folders on its way are made.
         mode: permissions of the file; None: those of the one that was there, else the usual ones.
 
     Yields:
@@ -67,6 +67,7 @@ def replacing(path: Path | str, *, mode: int | None = None) -> Iterator[Path]:
             yield target
             return
         part = beside(target)
+        output_folder(target.parent)
         try:
             part.unlink(missing_ok=True)
             if mode is not None:

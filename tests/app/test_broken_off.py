@@ -298,9 +298,12 @@ def test_replacing(tmp_path: Path) -> None:
     assert (tmp_path / "secret").stat().st_mode & 0o777 == 0o600
     with replacing("/dev/null") as part:
         part.write_text("x")
+    with replacing(tmp_path / "new" / "deep" / "a.txt") as part:
+        part.write_text("x")
+    assert (tmp_path / "new" / "deep" / "a.txt").read_text() == "x"
     with (
-        pytest.raises(OSError, match=r"cannot write .*nowhere/a\.txt: no such file"),
-        replacing(tmp_path / "nowhere" / "a.txt") as part,
+        pytest.raises(OSError, match=r"cannot write into .*secret: it is a file"),
+        replacing(tmp_path / "secret" / "a.txt") as part,
     ):
         part.write_text("x")
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.txt", "b.txt", "secret"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.txt", "b.txt", "new", "secret"]

@@ -750,8 +750,17 @@ def test_calibration_convert(run: Command, recording: Path, tmp_path: Path) -> N
     for a, b in zip(calibration.load(source), calibration.load(target), strict=True):
         assert np.array_equal(a.matrix, b.matrix)
         assert np.array_equal(a.camera_from_world.as_matrix(), b.camera_from_world.as_matrix())
+    assert run("calibration", "convert", source, tmp_path / "two.toml", "--only", "cam_2", "--only", "cam_0").code == 0
+    two = calibration.load(tmp_path / "two.toml")
+    assert two.names == ("cam_2", "cam_0")
+    assert np.array_equal(two["cam_0"].matrix, calibration.load(source)["cam_0"].matrix)
+    pair = ("calibration", "convert", source, tmp_path / "pair.yml", "--to", "opencv-stereo")
+    assert "--only" in one_sentence(run(*pair))
+    assert "which are cam_2 and cam_0" in run(*pair, "--only", "cam_2", "--only", "cam_0").out
+    assert "--only: 'cam_9' is no camera" in one_sentence(run(*pair, "--only", "cam_9"))
+    assert "--only: a camera is given twice" in one_sentence(run(*pair, "--only", "cam_0", "--only", "cam_0"))
     assert "rig.txt" in one_sentence(run("calibration", "convert", source, tmp_path / "rig.txt"))
-    assert "nowhere" in one_sentence(run("calibration", "convert", source, tmp_path / "nowhere" / "rig.toml"))
+    assert run("calibration", "convert", source, tmp_path / "new" / "deep" / "rig.toml").code == 0
     assert "none.toml" in one_sentence(run("calibration", "convert", tmp_path / "none.toml", target))
 
 

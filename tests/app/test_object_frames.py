@@ -214,7 +214,14 @@ def test_its_extent_and_plain_turns(first: Path, known: KnownObject, tmp_path: P
 def test_what_is_in_a_file_is_shown(first: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["object", "show", str(first / "sylpose" / OBJECT)]) == 0
     said = capsys.readouterr().out
-    for words in ("landmarks", "Keyframes", "Radius", "Extent", "Unit          m", "cam_0", "cam_3"):
+    known = load_object(first / "sylpose" / OBJECT)
+    # A tenth of the radius, of which the medians are a part, whatever the rest of the landmarks.
+    bound, unit = re.findall(r"known well: to ([0-9.]+) (m+) in depth", said)[0]
+    assert float(bound) / {"mm": 1000, "m": 1}[unit] == pytest.approx(0.1 * known.radius, rel=0.01)
+    medians = re.findall(r"(?m)^cam_\d +\d+ +\d+ +([0-9.]+) mm", said)
+    assert len(medians) == len(known._cameras)
+    assert all(0.0 < float(sd) < 100.0 * known.radius for sd in medians)
+    for words in ("landmarks", "their median sd", "Keyframes", "Radius", "Extent", "Unit          m", "cam_0", "cam_3"):
         assert words in said
 
 

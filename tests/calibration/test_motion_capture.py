@@ -253,7 +253,7 @@ def test_optitrack_without_colour_cameras(tmp_path: Path) -> None:
         ),
         ("OrientMatrix4", "OrientMatrix9", "camera C11764: missing 'OrientMatrix4'"),
         ("ImagerPixelWidth", "Width", "camera C11764: missing 'ImagerPixelWidth'"),
-        ("<Extrinsic ", "<Extrinsics ", "not a calibration of a known format"),
+        ("<Extrinsic ", "<Extrinsics ", "OptiTrack, without a Camera with its Extrinsic"),
     ],
 )
 def test_optitrack_that_cannot_be_used(old: str, new: str, message: str, tmp_path: Path) -> None:

@@ -201,7 +201,7 @@ def test_metashape_without_poses_or_with_several_chunks(tmp_path: Path) -> None:
     file = write(tmp_path / "a.xml", text.replace("</chunk>", f"</chunk><chunk{chunk}</chunk>"))
     with pytest.raises(ValueError, match="2 chunks with cameras"):
         calibration.load(file)
-    with pytest.raises(ValueError, match="no image in it has a pose"):
+    with pytest.raises(ValueError, match="no camera in this file of Metashape is aligned"):
         calibration.load(
             write(
                 file,

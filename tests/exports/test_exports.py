@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from sylpose.app.export import export
 from sylpose.cli import main
 from sylpose.exports.formats import FORMATS
-from sylpose.exports.poses import Poses
+from sylpose.exports.poses import UP_UNKNOWN, Poses
 from sylpose.report.files import read_tum, write_trajectory
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from tests.exports.paths import COASTING, FOUND, MISSING, RATE, N, markers_at, path, pose_at
@@ -77,7 +77,10 @@ def test_trc(tmp_path: Path) -> None:
 def test_bvh(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"2 between the first pose and the last have none; .* --start 4 --stop 7$"):
         export(path(), tmp_path / "a.bvh")
-    assert export(path(), tmp_path / "a.bvh", start=9, stop=13) == ["its frames are 9 to 11 of the recording"]
+    assert export(path(), tmp_path / "a.bvh", start=9, stop=13) == [
+        "its frames are 9 to 11 of the recording",
+        UP_UNKNOWN,
+    ]
     words = (tmp_path / "a.bvh").read_text().split()
     assert words[:3] == ["HIERARCHY", "ROOT", "object"]
     at = words.index("CHANNELS")
@@ -140,7 +143,7 @@ def accessor(content: dict[str, Any], data: bytes, k: int) -> Any:
 
 @pytest.mark.parametrize("name", ["a.glb", "a.gltf"])
 def test_gltf(name: str, tmp_path: Path) -> None:
-    assert export(path("mm"), tmp_path / name, name="mug") == []
+    assert export(path("mm"), tmp_path / name, name="mug") == [UP_UNKNOWN]
     content, data = gltf_of(tmp_path / name)
     assert content["asset"]["version"] == "2.0"
     assert content["buffers"][0]["byteLength"] <= len(data)
@@ -247,7 +250,7 @@ def test_usd(name: str, tmp_path: Path) -> None:
     pytest.importorskip("pxr")
     from pxr import Usd, UsdGeom
 
-    assert export(path("cm"), tmp_path / name, name="2 mugs") == []
+    assert export(path("cm"), tmp_path / name, name="2 mugs") == [UP_UNKNOWN]
     stage = Usd.Stage.Open(str(tmp_path / name))
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
     node = UsdGeom.Xformable(stage.GetPrimAtPath("/world/_2_mugs"))
@@ -294,6 +297,81 @@ def test_names_that_do_not_fit(name: str, to: str | None, message: str, tmp_path
         export(path(), tmp_path / name, to)
 
 
+# Which way is up
+
+
+def test_z_up_is_turned_or_said(tmp_path: Path) -> None:
+    """The world's up is shown as each format has it; the poses below are the same as without."""
+    assert export(path(), tmp_path / "z.gltf", z_up=True) == []
+    export(path(), tmp_path / "a.gltf")
+    (turned, data), (plain, before) = gltf_of(tmp_path / "z.gltf"), gltf_of(tmp_path / "a.gltf")
+    assert data == before
+    assert "rotation" not in plain["nodes"][0]
+    root = Rotation.from_quat(turned["nodes"][0]["rotation"])
+    np.testing.assert_allclose(root.apply([[0, 0, 1], [1, 0, 0]]), [[0, 1, 0], [1, 0, 0]], atol=1e-12)
+    for name, z_up in (("z.bvh", True), ("a.bvh", False)):
+        *_, said = export(path(), tmp_path / name, start=9, stop=12, z_up=z_up)
+        assert ("turned" in said) == z_up
+    poses = [
+        np.array((tmp_path / name).read_text().partition("Frame Time: ")[2].split()[1:], float).reshape(-1, 6)
+        for name in ("z.bvh", "a.bvh")
+    ]
+    np.testing.assert_allclose(poses[0][:, :3], root.apply(poses[1][:, :3]), atol=1e-12)
+    turns = [Rotation.from_euler("ZXY", rows[:, 3:], degrees=True) for rows in poses]
+    np.testing.assert_allclose(
+        (turns[0] * turns[1].inv()).as_matrix(), np.tile(root.as_matrix(), (3, 1, 1)), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("z_up", [True, False])
+def test_usd_and_c3d_say_what_is_up(z_up: bool, tmp_path: Path) -> None:
+    UsdGeom = pytest.importorskip("pxr.UsdGeom")
+    Usd, ezc3d = pytest.importorskip("pxr.Usd"), pytest.importorskip("ezc3d")
+    assert export(path(), tmp_path / "a.usda", z_up=z_up) == ([] if z_up else [UP_UNKNOWN])
+    assert UsdGeom.GetStageUpAxis(Usd.Stage.Open(str(tmp_path / "a.usda"))) == ("Z" if z_up else "Y")
+    assert export(path(), tmp_path / "a.c3d", z_up=z_up) == []
+    point = ezc3d.c3d(str(tmp_path / "a.c3d"))["parameters"]["POINT"]
+    assert [point[name]["value"] for name in ("X_SCREEN", "Y_SCREEN") if name in point] == [["+X"], ["+Z"]] * z_up
+
+
+# Which frames
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.tum", "a.glb", "a.parquet", "a.c3d", "a.usda"])
+def test_ranges_without_frames_are_refused(name: str, tmp_path: Path) -> None:
+    if FORMATS[export_format(name)].package:
+        pytest.importorskip(FORMATS[export_format(name)].package)
+    for start, stop, said in ((40, None, "--start 40"), (9, 5, "--start 9 --stop 5")):
+        with pytest.raises(ValueError, match=f"the trajectory has frames 3 to 12, {said} asked for"):
+            export(path(), tmp_path / name, start=start, stop=stop)
+    assert not list(tmp_path.iterdir())
+
+
+def export_format(name: str) -> str:
+    return next(to for to, its in FORMATS.items() if Path(name).suffix in its.suffixes)
+
+
+def test_frames_are_counted_that_are_in_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Into a folder that is made."""
+    write_trajectory(tmp_path, path())
+    out = tmp_path / "new" / "deep" / "a.csv"
+    assert main(["export", str(tmp_path), "--out", str(out), "--start", "4", "--stop", "8"]) == 0
+    assert "3 of 4 frames have a measured pose" in capsys.readouterr().out
+    assert len(out.read_text().splitlines()) == 5
+    assert main(["export", str(tmp_path), "--out", str(out), "--start", "40"]) == 2
+    assert len(out.read_text().splitlines()) == 5
+
+
+def test_a_world_of_ones_own_is_told_by_the_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_trajectory(tmp_path, path())
+    (tmp_path / "world.toml").write_text("")  # of `sylpose check`
+    for world, rotated in (("", False), ('[options]\nworld = "up=-y"\n', True)):
+        (tmp_path / "settings.toml").write_text(world)
+        assert main(["export", str(tmp_path), "--out", str(tmp_path / "a.gltf")]) == 0
+        assert ("does not say where up is" in capsys.readouterr().out.replace("\n", " ")) != rotated
+        assert ("rotation" in gltf_of(tmp_path / "a.gltf")[0]["nodes"][0]) == rotated
+
+
 @pytest.mark.parametrize("name", ["a.tum", "a.trc", "a.bvh", "a.glb"])
 def test_nothing_to_export(name: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no pose was measured in the 1 frames that are asked for"):
@@ -321,7 +399,7 @@ def test_names_have_no_blanks_where_words_are_told_by_them(tmp_path: Path) -> No
 
 def test_lengths_without_a_unit_are_said(tmp_path: Path) -> None:
     for name in ("a.trc", "a.glb"):
-        (said,) = export(path(""), tmp_path / name)
+        said, *_ = export(path(""), tmp_path / name)
         assert "which does not say its unit" in said
 
 

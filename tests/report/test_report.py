@@ -231,7 +231,7 @@ def test_an_out_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         lambda path: OverlayWriter(path, ring(3, 1), 5),
         lambda path: write_tum(path, [0.0], RigidTransform.identity(1)),
     ):
-        with pytest.raises(OSError, match=r"cannot write .*file\.txt/a\.png"):
+        with pytest.raises(OSError, match=r"cannot write .*file\.txt"):
             write(blocker / "a.png")
 
 

@@ -386,4 +386,4 @@ def test_names_that_need_quotes_are_written_so(
     write_offsets(found, tmp_path / "o.toml")
     assert load_offsets(tmp_path / "o.toml", found.cameras) == dict.fromkeys(found.cameras, 0.0)
     with pytest.raises(OSError, match="cannot write"):
-        write_offsets(found, tmp_path / "no" / "o.toml")
+        write_offsets(found, tmp_path / "o.toml" / "o.toml")

@@ -135,11 +135,29 @@ def test_copies_and_many_pairs_know_it_too() -> None:
 
 def test_units_in_which_all_have_the_same_noise() -> None:
     for noise in ([0.1, 0.3], [0.5, 0.5], [2.0, 8.0], [0.25, np.inf]):
-        units = noise_units(noise, 2)
+        units = noise_units(noise, ("a", "b"))
         some = units.per_px > 0
         np.testing.assert_allclose(units.per_px[some] * np.array(noise)[some], units.least)
         # In pixels of the best camera, unless that is worse than usual.
         assert units.per_px.max() == pytest.approx(min(1.0, USUAL_PX / min(noise)))
+
+
+def test_noise_by_the_cameras_names() -> None:
+    _, matches = scene(6, UNEQUAL)
+    by_name = dict(reversed(list(zip(RIG.names, UNEQUAL, strict=True))))
+    one, other = (estimate_motion(RIG, matches, noise_px=noise) for noise in (UNEQUAL, by_name))
+    np.testing.assert_array_equal(other.covariance, one.covariance)
+    assert noise_units({"b": np.inf, "a": 0.25}, ("a", "b")).per_px.tolist() == [1.0, 0.0]
+    first, *_ = RIG.names
+    missing = {name: noise for name, noise in by_name.items() if name != first}
+    for wrong, said in (
+        (missing, f"camera {first} is missing"),
+        (by_name | {"cam_9": 0.5}, "'cam_9' is no camera"),
+        (by_name | {first: "large"}, rf"noise_px\['{first}'\]: 'large' is not a finite number"),
+        (by_name | {first: 0.0}, "noise_px must be from"),
+    ):
+        with pytest.raises(ValueError, match=f"noise_px.*{said}" if said[0] in "c'" else said):
+            estimate_motion(RIG, matches, noise_px=wrong)
 
 
 @pytest.mark.parametrize("wrong", [[0.5], 0.5, [0.5, 0.5, 0.0, 0.5], [0.5, np.nan, 1, 1], [-1, 1, 1, 1], ["a"] * 4])

@@ -11,6 +11,7 @@ from rich.text import Text
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.app import text
+from sylpose.app.record import settings_of, table, world_said
 from sylpose.app.view import read_result
 from sylpose.comparison import Alignment, Comparison, compared, statistics
 from sylpose.files import output_folder, replacing
@@ -19,7 +20,7 @@ from sylpose.report.comparison import plot_comparison
 from sylpose.report.files import read_tum
 from sylpose.units import METRES
 
-__all__ = ["compare_aloud", "numbers_of", "read_motion"]
+__all__ = ["compare_aloud", "may_differ", "numbers_of", "read_motion"]
 
 SHOWN = ("rmse", "median", "max")
 
@@ -65,6 +66,7 @@ def compare_aloud(
         rows.append([f"{label} turn", *(f"{turned[name]:.3g}°" for name in SHOWN)])
         rows.append([f"{label} position", *(text.length(moved[name], unit) for name in SHOWN)])
     text.print_table(console, ("Error", *SHOWN), rows)
+    text.print_warnings(console, may_differ(a, b, ours.unit, theirs.unit, align))
     folder = output_folder(out)
     files = [folder / "compare.json", folder / f"compare.{plot_format}"]
     with replacing(files[0]) as part:
@@ -92,6 +94,32 @@ def read_motion(path: Path) -> _Motion:
     if not len(motion.times):
         raise ValueError(f"{path}: no pose in it")
     return motion
+
+
+def may_differ(a: Path, b: Path, unit_a: str, unit_b: str, align: str) -> list[str]:
+    """Sentences on what A and B are told in that is not the same, and that the alignment does not allow for."""
+    found = []
+    if unit_a != unit_b and not {unit_a, unit_b} <= METRES.keys() and align != "sim3":
+        units = [unit or "a unit that is not said" for unit in (unit_a, unit_b)]
+        found.append(
+            f"A is in {units[0]}, B in {units[1]}: lengths are compared as they are; --align sim3 scales them to fit."
+        )
+    settings = [settings_of(path if path.is_dir() else path.parent) for path in (a, b)]
+    # A TUM file has none of its own, whatever it lies beside.
+    if (
+        align == "both"
+        or not all(settings)
+        or not all(path.is_dir() or path.suffix.lower() == ".csv" for path in (a, b))
+    ):
+        return found
+    allow = "--align both allows for another world."
+    worlds = [world_said(path) or "its calibration's" for path in (a, b)]
+    digests = {str(table(its, "checksums").get("calibration")) for its in settings}
+    if worlds[0] != worlds[1]:
+        found.append(f"A and B are told in different worlds ({worlds[0]}; {worlds[1]}): {allow}")
+    elif unit_a == unit_b and len(digests) > 1:
+        found.append(f"A and B are of calibrations that differ, and their worlds may, too: {allow}")
+    return found
 
 
 def numbers_of(result: Comparison, step: int, unit: str) -> dict[str, Any]:

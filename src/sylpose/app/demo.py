@@ -17,6 +17,7 @@ from sylpose.capture import open_session
 from sylpose.comparison import pairs_in_time
 from sylpose.files import output_folder, replacing, writing
 from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.checked import number
 from sylpose.report.files import read_tum
 from sylpose.simulate import DemoTruth, render_sequence
 
@@ -133,6 +134,7 @@ def render_demo(out: Path, *, frames: int, turn_deg: float, n_cameras: int, seed
     """
     if frames < 2:
         raise ValueError(f"the demo needs at least 2 frames, got {frames}")
+    number(turn_deg, "--turn")
     if seed < 0:
         raise ValueError(f"--seed must not be negative, got {seed}")
     output_folder(out)

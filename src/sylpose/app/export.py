@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from sylpose.app import text
+from sylpose.app.record import root_of, world_said
 from sylpose.app.view import read_result
 from sylpose.exports.formats import FORMATS
 from sylpose.exports.poses import Poses
@@ -33,16 +34,16 @@ def export_aloud(
     """Writes the trajectory of a run in another format, and says what is in the file.
 
     Raises:
-        ValueError, OSError: as `export` and `read_result`.
+        ValueError, OSError: as `export` and `read_result`; no frames between `start` and `stop`.
     """
     trajectory = read_result(result)
     folder = result if result.is_dir() else result.parent
-    # Of several objects each has a folder, in which there is no settings.toml.
-    own = folder.name if (folder.parent / "settings.toml").is_file() else "object"
-    notes = export(trajectory, out, to, name=name or own, start=start, stop=stop)
+    own = folder.name if root_of(folder) != folder else "object"
+    asked = _between(trajectory, start, stop)
+    notes = export(asked, out, to, name=name or own, z_up=world_said(result) is not None)
     console = text.make_console()
-    found = sum(frame.measured for frame in trajectory)
-    console.print(f"{found} of {len(trajectory)} frames have a measured pose.")
+    found = sum(frame.measured for frame in asked)
+    console.print(f"{found} of {len(asked)} frames have a measured pose.")
     for note in notes:
         console.print(f"{note[0].upper()}{note[1:]}.", highlight=False)
     text.print_files(console, "File" if out.is_file() else "Folder", [out])
@@ -56,6 +57,7 @@ def export(
     name: str = "object",
     start: int | None = None,
     stop: int | None = None,
+    z_up: bool = False,
 ) -> list[str]:
     """Write a trajectory in another format.
 
@@ -64,13 +66,14 @@ def export(
         to: one of `FORMATS`; None for what the file's name tells.
         name: of the object, in formats that have one.
         start, stop: numbers of frames, of which the latter is the first that is left out.
+        z_up: the world's z axis is known to go up, as in a world of one's own.
 
     Returns:
         sentences on what is otherwise in the file.
 
     Raises:
-        ValueError: another format, or a name that does not fit it; a package that is not installed; no poses; what the
-            format cannot hold.
+        ValueError: another format, or a name that does not fit it; a package that is not installed; no frames
+            between `start` and `stop`, or no poses in them; what the format cannot hold.
         OSError: naming the file that cannot be written.
     """
     suffix = out.suffix.lower()
@@ -87,7 +90,21 @@ def export(
         raise ValueError(f"--to {to} needs {its.package}, which is not installed: pip install 'sylpose[{its.extra}]'")
     module, _, function = {**_TABLES, **_OF_POSES}[to].partition(".")
     write = getattr(import_module(f"sylpose.exports.{module}"), function)
-    if to in _TABLES:
-        kept = [f for f in trajectory if (start is None or f.index >= start) and (stop is None or f.index < stop)]
-        return list(write(Trajectory(kept, trajectory.camera_names, trajectory.unit), out))
-    return list(write(Poses.of(trajectory, name, start, stop), out))
+    asked = _between(trajectory, start, stop)
+    return list(write(asked if to in _TABLES else Poses.of(asked, name, z_up), out))
+
+
+def _between(trajectory: Trajectory, start: int | None, stop: int | None) -> Trajectory:
+    """The frames that are asked for.
+
+    Raises:
+        ValueError: there are none.
+    """
+    kept = [f for f in trajectory if (start is None or f.index >= start) and (stop is None or f.index < stop)]
+    if not kept:
+        asked = "".join(f" --{end} {n}" for end, n in (("start", start), ("stop", stop)) if n is not None)
+        has = f"frames {trajectory[0].index} to {trajectory[-1].index}" if len(trajectory) else "none"
+        raise ValueError(
+            f"no frame to export: the trajectory has {has}, {asked.strip() or 'and that is all'} asked for"
+        )
+    return Trajectory(kept, trajectory.camera_names, trajectory.unit)

@@ -54,20 +54,24 @@ def show_aloud(path: Path) -> None:
     rows = []
     for name, memory in known._cameras.items():
         sd = memory.landmarks.depth_sd
-        well = int((sd < KNOWN_DEPTH * known.radius).sum())
+        well = sd[sd < KNOWN_DEPTH * known.radius]
         views = sum(len(features) > 0 for features in memory.features)
-        middle = text.length(float(np.median(sd)), known.unit) if len(sd) else "-"
-        rows.append([name, str(len(sd)), str(well), middle, str(views)])
-    text.print_table(console, ["camera", "landmarks", "known well", "median sd", "in keyframes"], rows)
+        middle = text.length(float(np.median(well)), known.unit) if len(well) else "-"
+        rows.append([name, str(len(sd)), str(len(well)), middle, str(views)])
+    text.print_table(console, ["camera", "landmarks", "known well", "their median sd", "in keyframes"], rows)
 
 
 def facts_of(known: KnownObject) -> list[tuple[str, str]]:
     """What is said of an object."""
     good, unit = known_well(known), known.unit
+    bound = text.length(KNOWN_DEPTH * known.radius, unit)
     turns = Rotation.concatenate([k.world_from_object.rotation for k in known._keyframes])
     angle = np.degrees((turns * turns[0].inv()).magnitude().max())
     facts = [
-        ("Object", f"{known.mark}, {len(known.places)} landmarks, {len(good)} of them known well"),
+        (
+            "Object",
+            f"{known.mark}, {len(known.places)} landmarks, {len(good)} of them known well: to {bound} in depth",
+        ),
         ("Keyframes", f"{len(known._keyframes)}, turned by {angle:.0f}° at most"),
         ("Radius", text.length(known.radius, unit)),
     ]

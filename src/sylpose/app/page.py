@@ -11,17 +11,17 @@ from typing import Any
 from sylpose import __version__
 from sylpose.app import text
 from sylpose.app.object_files import OBJECT
-from sylpose.app.record import SETTINGS
+from sylpose.app.record import SETTINGS, root_of, settings_of, table
 from sylpose.app.scene import calibration_used, read_cloud, rig_of
 from sylpose.app.view import read_result
 from sylpose.numerics.angles import PAN_TILT_ROLL, angles_of
-from sylpose.reading import parsed_toml, text_of, told
+from sylpose.reading import told
 from sylpose.report.formats import PAGE
 from sylpose.report.page import Head, write_page
 from sylpose.report.scene import Stills, scene_of
 from sylpose.results import Trajectory
 
-__all__ = ["make_page", "root_of", "settings_of", "table"]
+__all__ = ["make_page"]
 
 # Of the packages in settings.toml, those that are named at the top.
 _NAMED = {"numpy": "NumPy", "opencv": "OpenCV"}
@@ -44,21 +44,6 @@ def make_page(folder: Path, stills: Stills) -> Path:
         angles = PAN_TILT_ROLL if asked is None else angles_of(str(asked))
     write_page(folder / PAGE, trajectory, scene, rig, angles, _head(folder, trajectory, settings))
     return folder / PAGE
-
-
-def root_of(folder: Path) -> Path:
-    """The folder of the run: of several objects, each has a folder in it."""
-    return folder.parent if not (folder / SETTINGS).is_file() and (folder.parent / SETTINGS).is_file() else folder
-
-
-def settings_of(folder: Path) -> dict[str, Any]:
-    """What settings.toml says; nothing where there is none, as of runs of 0.1.0."""
-    file = root_of(folder) / SETTINGS
-    if not file.is_file():
-        return {}
-    content = text_of(file)
-    with told(file):
-        return parsed_toml(content)
 
 
 def _head(folder: Path, trajectory: Trajectory, settings: Mapping[str, Any]) -> Head:
@@ -89,11 +74,6 @@ def _head(folder: Path, trajectory: Trajectory, settings: Mapping[str, Any]) -> 
         cameras=text.per_camera(trajectory),
         videos=_videos(root, "" if root == folder else "../"),
     )
-
-
-def table(settings: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    table = settings.get(name)
-    return table if isinstance(table, dict) else {}
 
 
 def _told(settings: Mapping[str, Any]) -> dict[str, list[tuple[str, str]]]:

@@ -18,10 +18,10 @@ from sylpose.app import text
 from sylpose.app.album import Album
 from sylpose.app.notes import notes
 from sylpose.app.opening import camera_files, check_out, open_recorded
-from sylpose.app.page import make_page, settings_of, table
+from sylpose.app.page import make_page
 from sylpose.app.pixel_files import load_pixels
 from sylpose.app.point_files import Layout, PointModel, load_points
-from sylpose.app.record import SETTINGS, checksum, write_record, write_record_of_tables
+from sylpose.app.record import SETTINGS, checksum, settings_of, table, write_record, write_record_of_tables
 from sylpose.app.results_folder import ResultsFolder, alone_in
 from sylpose.app.run import Run
 from sylpose.boards.detection import markers_in

@@ -1,4 +1,4 @@
-"""What a run was asked for and the calibration that it used, beside its results."""
+"""What a run was asked for and the calibration that it used, beside its results: written, and read again."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 from sylpose import __version__, calibration
 from sylpose.app.checkpoint import checksum_of_rig, fingerprint
@@ -16,9 +17,21 @@ from sylpose.calibration.world import save_world
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.files import output_folder, replacing, toml_key, toml_string
+from sylpose.reading import parsed_toml, text_of, told
 from sylpose.rig import Rig
 
-__all__ = ["SETTINGS", "USED", "WORLD", "checksum", "write_record", "write_record_of_tables"]
+__all__ = [
+    "SETTINGS",
+    "USED",
+    "WORLD",
+    "checksum",
+    "root_of",
+    "settings_of",
+    "table",
+    "world_said",
+    "write_record",
+    "write_record_of_tables",
+]
 
 SETTINGS, USED, WORLD = "settings.toml", "calibration.used.toml", "world.toml"
 # Whose versions answers may depend on, to rounding; OpenCV in whatever flavour there is.
@@ -106,6 +119,38 @@ def _write(
 
 def _known(values: Mapping[str, object]) -> dict[str, object]:
     return {name: value for name, value in values.items() if value is not None}
+
+
+def root_of(folder: Path) -> Path:
+    """The folder of the run: of several objects, each has a folder in it."""
+    return folder.parent if not (folder / SETTINGS).is_file() and (folder.parent / SETTINGS).is_file() else folder
+
+
+def settings_of(folder: Path) -> dict[str, Any]:
+    """What settings.toml says; nothing where there is none, as of runs of 0.1.0."""
+    file = root_of(folder) / SETTINGS
+    if not file.is_file():
+        return {}
+    content = text_of(file)
+    with told(file):
+        return parsed_toml(content)
+
+
+def table(settings: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    table = settings.get(name)
+    return table if isinstance(table, dict) else {}
+
+
+def world_said(result: Path) -> str | None:
+    """By what the world of a result was told, whose z axis goes up; None of one that is told in its calibration's world.
+
+    Args:
+        result: folder of the run, or of one of its objects, or a file in it.
+    """
+    folder = result if result.is_dir() else result.parent
+    # A world.toml alone does not tell: `sylpose check` leaves one, too.
+    world = table(settings_of(folder), "options").get("world")
+    return None if world is None else str(world)
 
 
 def _versions() -> dict[str, str]:

@@ -11,8 +11,8 @@ import numpy as np
 
 from sylpose.app import text
 from sylpose.app.album import Album
-from sylpose.app.page import make_page, root_of, settings_of, table
-from sylpose.app.record import SETTINGS
+from sylpose.app.page import make_page
+from sylpose.app.record import SETTINGS, root_of, settings_of, table
 from sylpose.app.recorded import recording_of
 from sylpose.reading import bytes_of, told
 from sylpose.report.formats import PAGE

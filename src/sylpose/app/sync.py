@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from sylpose.app import text
 from sylpose.app.compiling import compile_aloud
 from sylpose.capture import Session
-from sylpose.files import replacing, toml_key
+from sylpose.files import output_folder, replacing, toml_key
 from sylpose.frames import FrameSet
 from sylpose.numerics.arrays import FloatArray, Image
 from sylpose.results import Status
@@ -310,8 +310,8 @@ def _check_asked(session: Session, out: Path | None, seed: int) -> None:
     """Raises ValueError, before any frame is looked at, for what would only fail at the end, or replace another file."""
     if seed < 0:
         raise ValueError(f"--seed must not be negative, got {seed}")
-    if out is not None and not out.parent.is_dir():
-        raise ValueError(f"--out {out}: there is no folder {out.parent}")
+    if out is not None:
+        output_folder(out.parent)
     if out is not None and out.exists():
         try:
             load_offsets(out, session.rig.names)

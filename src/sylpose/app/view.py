@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import __version__, calibration
 from sylpose.app import text
-from sylpose.app.record import USED, WORLD
+from sylpose.app.record import USED, WORLD, world_said
 from sylpose.calibration.world import load_world, told_in
 from sylpose.numerics.angles import PAN_TILT_ROLL, Angles, angles_of
 from sylpose.report.files import read_trajectory, write_trajectory
@@ -55,7 +55,7 @@ def view_aloud(
     if eye is not None:
         if given is not None:
             raise ValueError("--from places a camera, --calibration looks one up: give one of them")
-        camera = standing(name, eye, at, trajectory, z_up=_beside(result, WORLD) is not None)
+        camera = standing(name, eye, at, trajectory, z_up=world_said(result) is not None)
     elif at is not None:
         raise ValueError("--at needs --from X Y Z: where the camera stands")
     else:

@@ -42,4 +42,6 @@ def read(data: dict[str, Any], path: Path) -> Rig:
                 "or write ignore = true to leave it out"
             )
         cameras.append(camera_of(path, name, convert(table, CameraTable, f"{path}: camera {name}")))
+    if not cameras:
+        raise ValueError(f"{path}: no camera in this Caliscope file: [cameras.0], ... without ignore = true are needed")
     return make_rig(path, cameras)

@@ -32,6 +32,7 @@ from sylpose.calibration.build import (
     pose_of_matrix,
     sizes_of,
 )
+from sylpose.calibration.unfinished import unfinished
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = ["error_of", "is_calibration", "lens_of", "pick", "read", "says", "to_text"]
@@ -90,6 +91,8 @@ def read(data: dict[str, Any], path: Path, sizes: Sizes | None = None) -> Rig:
     """
     nodes = _camera_nodes(data, path)
     if not nodes and _TELLING & data.keys():
+        if not says(data, "matrix", "rotation") and (said := unfinished("plain", data)) is not None:
+            raise ValueError(f"{path}: no calibration: this looks like a file of {said}")
         raise ValueError(f"{path}: holds a single lens; needed is a node per camera, each with its pose R and T")
     unit = data.get("unit", "")
     if not isinstance(unit, str):

@@ -30,6 +30,7 @@ from sylpose.calibration import (
 from sylpose.calibration.build import Sizes
 from sylpose.calibration.colmap_model import is_model, read_model
 from sylpose.calibration.content import content_of
+from sylpose.calibration.unfinished import unfinished
 from sylpose.reading import told
 from sylpose.rig import Rig
 
@@ -169,4 +170,6 @@ def _told_format(path: Path) -> Told:
     for format_ in FORMATS[kind]:
         if format_.tells(data):
             return Told(format_, path, data)
+    if (said := unfinished(kind, data)) is not None:
+        raise ValueError(f"no calibration: this looks like a file of {said}")
     raise ValueError(f"not a calibration of a known format; {KNOWN}")

@@ -30,7 +30,7 @@ _UNITS = {
 
 def is_matlab(data: Any) -> bool:
     """Whether decoded JSON has Matlab's names: of two cameras, or of one."""
-    return isinstance(data, dict) and ({"CameraParameters1", "CameraParameters2"} <= data.keys() or _is_lens(data))
+    return isinstance(data, dict) and bool({"CameraParameters1", "CameraParameters2"} & data.keys() or _is_lens(data))
 
 
 def read(data: dict[str, Any], path: Path, sizes: Sizes | None = None) -> Rig:

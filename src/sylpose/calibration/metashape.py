@@ -41,7 +41,9 @@ def read(root: Element, path: Path) -> Rig:
         raise ValueError(f"{path}: {len(chunks)} chunks with cameras in this file of Metashape; one is needed")
     sensors = {sensor.get("id"): sensor for sensor in chunks[0].findall("sensors/sensor")}
     cameras = []
-    for still in still_cameras(list(_shots(chunks[0], path)), path):
+    if not (shots := list(_shots(chunks[0], path))):
+        raise ValueError(f"{path}: no camera in this file of Metashape is aligned: none has a transform")
+    for still in still_cameras(shots, path):
         where = f"{path}: camera {still.name}"
         sensor = sensors.get(still.lens)
         if sensor is None:

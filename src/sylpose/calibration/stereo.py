@@ -97,7 +97,10 @@ def to_text(rig: Rig, suffix: str) -> str:
         ValueError: other than two cameras, of one size and lens model.
     """
     if len(rig) != 2:
-        raise ValueError(f"an OpenCV stereo calibration is of two cameras, not of {len(rig)}: {', '.join(rig.names)}")
+        raise ValueError(
+            f"an OpenCV stereo calibration is of two cameras, not of {len(rig)} ({', '.join(rig.names)}); Rig.subset "
+            "chooses two, or --only CAM --only CAM of sylpose calibration convert"
+        )
     first, second = rig
     for what, same in (("sizes", first.size == second.size), ("lens models", first.lens == second.lens)):
         if not same:

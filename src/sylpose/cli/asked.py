@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, NoReturn, ParamSpec
+from typing import Annotated, NoReturn, ParamSpec, get_type_hints
 
 import typer
+from typer.models import OptionInfo
 
 from sylpose.reading import SENTENCE, one_line
 from sylpose.report.formats import FORMATS
@@ -48,6 +50,14 @@ __all__ = [
 P = ParamSpec("P")
 
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
+# Options by the names that Python's functions have for them, where these are not the commands' own.
+_IN_PYTHON = {
+    "cameras": "--camera",
+    "known": "--object",
+    "offsets": "--frame-offset",
+    "plot_format": "--format",
+    "up": "--world",
+}
 
 
 def examples(*lines: str) -> str:
@@ -82,10 +92,41 @@ def spoken(command: Callable[P, None]) -> Callable[P, None]:
         except (ValueError, OSError) as error:
             if type(error).__name__ == "LinAlgError":  # a bug
                 raise
-            say(sentence_of(error))
+            said = sentence_of(error)
+            say(as_typed(said, options_of(command), kwargs) if isinstance(error, ValueError) else said)
             raise typer.Exit(WRONG_INPUT) from None
 
     return run
+
+
+def options_of(command: Callable[..., None]) -> dict[str, str]:
+    """A command's options by the names that arguments have in Python."""
+    found: dict[str, str] = {}
+    for name, hint in get_type_hints(command, include_extras=True).items():
+        for its in getattr(hint, "__metadata__", ()):
+            if isinstance(its, OptionInfo):
+                # Typer has the first word where an option's default is, until it builds the command.
+                words = [str(w) for w in (its.default, *(its.param_decls or ())) if str(w).startswith("--")]
+                found[name] = words[0].partition("/")[0] if words else f"--{name.replace('_', '-')}"
+    return found | {name: option for name, option in _IN_PYTHON.items() if option in found.values()}
+
+
+def as_typed(sentence: str, options: Mapping[str, str], given: Mapping[str, object]) -> str:
+    """A sentence about a wrong argument of a function with the option in its place that was typed.
+
+    Such sentences begin with the argument's name, or with that of the session or file and then with it. What was typed
+    itself, a folder called "start", say, is no argument's name.
+
+    Args:
+        options: as `options_of` has them.
+        given: what the command was given.
+    """
+    typed = {str(value) for value in given.values()}
+    for head in ("", *(f"{value}: " for value in given.values() if isinstance(value, Path))):
+        found = re.match(r"[a-z_]+(?=: | must | cannot )", sentence.removeprefix(head))
+        if sentence.startswith(head) and found and found[0] in options and found[0] not in typed:
+            return f"{head}{options[found[0]]}{sentence.removeprefix(head)[found.end() :]}"
+    return sentence
 
 
 def say(sentence: str) -> None:

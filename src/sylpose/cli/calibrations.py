@@ -27,6 +27,7 @@ app.add_typer(calibration_app, name="calibration")
         "sylpose calibration convert camera_array.toml calibration.yml",
         "sylpose calibration convert rig.toml floor.toml --world chessboard:9x6,square=25mm --world-from floor_images",
         "sylpose calibration convert camchain.yaml calibration.toml --to anipose",
+        "sylpose calibration convert rig.toml stereo.yml --to opencv-stereo --only cam_0 --only cam_2",
         "sylpose calibration convert colmap/sparse/0 calibration.toml",
     )
 )
@@ -51,6 +52,12 @@ def convert(
     ] = None,
     is_in: Annotated[
         str | None, typer.Option(metavar="|".join(METRES), help="The unit of IN, which does not say it itself.")
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CAM", help="The cameras in OUT, in this order; may be given several times. All by default."
+        ),
     ] = None,
     world: World = None,
     world_frame: WorldFrame = None,
@@ -85,6 +92,12 @@ def convert(
         found, notes = world_asked(rig, asked)
         rig = told_in(rig, found)
     rig = rig if unit is None else rig.in_unit(unit)
+    if only:
+        if unknown := [name for name in only if name not in rig.names]:
+            raise ValueError(f"--only: {unknown[0]!r} is no camera of {source} ({', '.join(rig.names)})")
+        if len(set(only)) < len(only):
+            raise ValueError(f"--only: a camera is given twice ({', '.join(only)})")
+        rig = rig.subset(only)
     lost = calibration.save(rig, target, to)
     said = "; ".join([f"{len(rig)} cameras ({', '.join(rig.names)})", *lost])
     print(f"{target}, {calibration.format_of(target)}: {said}")

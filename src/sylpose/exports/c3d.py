@@ -14,7 +14,8 @@ __all__ = ["write_c3d"]
 
 
 def write_c3d(poses: Poses, path: Path) -> list[str]:
-    """In mm; in gaps the markers have the residual -1, which says that they were not seen.
+    """In mm; in gaps the markers have the residual -1, which says that they were not seen. Where z is known to go up,
+    X_SCREEN and Y_SCREEN say so, the parameters that C3D has for how a scene is shown first.
 
     Raises:
         ValueError: frames that are not at a steady rate.
@@ -26,6 +27,9 @@ def write_c3d(poses: Poses, path: Path) -> list[str]:
     point["RATE"]["value"] = [rate]
     point["LABELS"]["value"] = names
     point["UNITS"]["value"] = [poses.unit or "units"]
+    if poses.z_up:
+        file.add_parameter("POINT", "X_SCREEN", ["+X"])
+        file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
     found = np.asarray(np.isfinite(places).all(axis=2))
     data = np.ones((4, len(names), len(poses)))
     data[:3] = np.where(found[:, :, None], places, 0.0).transpose(2, 1, 0)

@@ -14,17 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sylpose.exports.poses import Poses, runs_of
+from sylpose.exports.poses import UP_UNKNOWN, Poses, runs_of
 from sylpose.files import replacing
 
 __all__ = ["write_gltf"]
 
 FLOAT, LINES = 5126, 1
 _COLORS = np.eye(3)
+# glTF's y axis goes up: a world whose z axis does is turned about x by -90 degrees; x y z w.
+_Y_UP_FROM_Z_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 
 
 def write_gltf(poses: Poses, path: Path) -> list[str]:
-    """Lengths in metres, times since the first frame; the world's axes are the calibration's."""
+    """Lengths in metres, times since the first frame; the world's axes are as they are, below a node that turns z,
+    where that goes up, to where glTF has up."""
     poses = poses.in_unit("m")
     buffer = _Buffer()
     points = np.zeros((6, 3))
@@ -46,11 +49,12 @@ def write_gltf(poses: Poses, path: Path) -> list[str]:
         seen = buffer.accessor(times[changes], "SCALAR", bounds=True), buffer.accessor(shown, "VEC3")
         samplers.append({"input": seen[0], "output": seen[1], "interpolation": "STEP"})
         moved.append("scale")
+    world = {"name": "world", "children": [1]} | ({"rotation": _Y_UP_FROM_Z_UP} if poses.z_up else {})
     content: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "sylpose"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": "world", "children": [1]}, {"name": poses.name, "mesh": 0}],
+        "nodes": [world, {"name": poses.name, "mesh": 0}],
         "meshes": [{"name": "axes", "primitives": [{"attributes": mesh, "mode": LINES}]}],
         "animations": [
             {
@@ -67,7 +71,8 @@ def write_gltf(poses: Poses, path: Path) -> list[str]:
         part.write_bytes(
             _binary(content, bytes(buffer.data)) if path.suffix.lower() == ".glb" else _text(content, buffer.data)
         )
-    return [] if poses.unit == "m" else ["lengths are as in the calibration, which does not say its unit, and not m"]
+    notes = [] if poses.unit == "m" else ["lengths are as in the calibration, which does not say its unit, and not m"]
+    return notes if poses.z_up else [*notes, UP_UNKNOWN]
 
 
 class _Buffer:

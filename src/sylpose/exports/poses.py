@@ -13,10 +13,15 @@ from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.results import Trajectory
 from sylpose.units import METRES
 
-__all__ = ["AXIS_M", "Poses", "runs_of"]
+__all__ = ["AXIS_M", "UP_UNKNOWN", "Poses", "runs_of"]
 
 # How long the object's axes are where a format draws them, metres, or units where these are not known (choice: a hand's).
 AXIS_M = 0.1
+# Of formats that say which axis is up.
+UP_UNKNOWN = (
+    "axes are the calibration's, which does not say where up is, and the format takes y for it (track --world up=X,Y,Z "
+    "would say it)"
+)
 # Of steps of time, that count as one rate (choice: time stamps of a millisecond at 100 frames a second, and half of that).
 STEADY = 0.15
 
@@ -32,6 +37,7 @@ class Poses:
         positions: (N, 3) of the object's centre; NaN in gaps.
         quaternions: (N, 4) w last, continuous in sign; NaN in gaps.
         unit: of lengths, or "".
+        z_up: whether the world's z axis is known to go up; else nobody knows what does.
     """
 
     name: str
@@ -40,19 +46,18 @@ class Poses:
     positions: FloatArray
     quaternions: FloatArray
     unit: str
+    z_up: bool = False
 
     @classmethod
-    def of(
-        cls, trajectory: Trajectory, name: str = "object", start: int | None = None, stop: int | None = None
-    ) -> Self:
-        """The measured poses of the frames with numbers from `start` up to `stop`, or all.
+    def of(cls, trajectory: Trajectory, name: str = "object", z_up: bool = False) -> Self:
+        """The measured poses.
 
         Raises:
-            ValueError: no pose was measured in these frames; times that do not increase; a name that is no text.
+            ValueError: no pose was measured; times that do not increase; a name that is no text.
         """
         if not name.strip() or not name.isprintable():
             raise ValueError(f"the object's name must be text, got {name!r}")
-        frames = [f for f in trajectory if (start is None or f.index >= start) and (stop is None or f.index < stop)]
+        frames = list(trajectory)
         if not any(f.measured for f in frames):
             raise ValueError(f"no pose was measured in the {len(frames)} frames that are asked for: nothing to export")
         if any(b.time <= a.time for a, b in pairwise(frames)):
@@ -65,7 +70,7 @@ class Poses:
                 before = quaternions[i] = -quaternion if quaternion @ before < 0 else quaternion
         positions = np.array([f.position if f.measured else np.full(3, np.nan) for f in frames])
         indices, times = [f.index for f in frames], np.array([f.time for f in frames])
-        return cls(name, indices, times, positions, quaternions, trajectory.unit)
+        return cls(name, indices, times, positions, quaternions, trajectory.unit, z_up)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -90,6 +95,16 @@ class Poses:
         if self.unit not in METRES:
             return self
         return replace(self, positions=self.positions * (METRES[self.unit] / METRES[unit]), unit=unit)
+
+    def with_y_up(self) -> Self:
+        """The same for formats whose y axis goes up, in a world that is turned about x; as it is where up is not known."""
+        if not self.z_up:
+            return self
+        found, turn = self.found, Rotation.from_euler("x", -90.0, degrees=True)
+        positions, quaternions = self.positions.copy(), self.quaternions.copy()
+        positions[found] = turn.apply(positions[found])
+        quaternions[found] = (turn * Rotation.from_quat(quaternions[found])).as_quat()
+        return replace(self, positions=positions, quaternions=quaternions, z_up=False)
 
     def rate(self, format_: str) -> float:
         """Frames per second, for a format that has one for all.

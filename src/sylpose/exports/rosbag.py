@@ -11,7 +11,7 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from sylpose.exports.poses import Poses
-from sylpose.files import beside, writing
+from sylpose.files import beside, output_folder, writing
 
 __all__ = ["write_rosbag"]
 
@@ -40,6 +40,7 @@ def write_rosbag(poses: Poses, path: Path) -> list[str]:
     with writing(path):
         shutil.rmtree(part, ignore_errors=True)
         try:
+            output_folder(path.parent)
             part.mkdir()
             with Writer(part / path.name, version=VERSION) as bag:
                 poses_to = bag.add_connection(f"/{name}/pose", "geometry_msgs/msg/PoseStamped", typestore=store)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sylpose.exports.poses import Poses, runs_of
+from sylpose.exports.poses import UP_UNKNOWN, Poses, runs_of
 from sylpose.files import replacing
 from sylpose.report.tables import columns_of
 from sylpose.results import Trajectory
@@ -75,7 +75,8 @@ def write_trc(poses: Poses, path: Path) -> list[str]:
 
 
 def write_bvh(poses: Poses, path: Path) -> list[str]:
-    """One joint that moves and turns, Z, X, Y in turn; of frames from the first pose to the last.
+    """One joint that moves and turns, Z, X, Y in turn; of frames from the first pose to the last. Y goes up in BVH (readers
+    that are not told otherwise, such as Blender, take it for that), so a world whose z axis does is turned.
 
     Raises:
         ValueError: frames that are not at a steady rate; frames between them that have no pose, which BVH cannot say.
@@ -88,7 +89,8 @@ def write_bvh(poses: Poses, path: Path) -> list[str]:
             f"have none; the longest stretch with poses is --start {poses.indices[first]} "
             f"--stop {poses.indices[stop - 1] + 1}"
         )
-    rate = poses.rate("bvh")
+    rate, known = poses.rate("bvh"), poses.z_up
+    poses = poses.with_y_up()
     turned = Rotation.from_quat(poses.quaternions)
     angles = np.degrees(np.unwrap(turned.as_euler("ZXY", suppress_warnings=True), axis=0))
     head = f"""HIERARCHY
@@ -106,7 +108,8 @@ Frames: {len(poses)}
 Frame Time: {1 / rate:.9f}
 """
     _put(path, head + _lines(np.column_stack([poses.positions, angles]).tolist(), " "))
-    return [f"its frames are {poses.indices[0]} to {poses.indices[-1]} of the recording"]
+    up = "its world is turned: y is up, which was z" if known else UP_UNKNOWN
+    return [f"its frames are {poses.indices[0]} to {poses.indices[-1]} of the recording", up]
 
 
 def _units(poses: Poses, wanted: str) -> list[str]:

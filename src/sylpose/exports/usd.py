@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from sylpose.exports.poses import Poses
+from sylpose.exports.poses import UP_UNKNOWN, Poses
 from sylpose.files import replacing
 from sylpose.units import METRES
 
@@ -15,13 +15,13 @@ __all__ = ["write_usd"]
 
 
 def write_usd(poses: Poses, path: Path) -> list[str]:
-    """Times are seconds since the first frame; the world's axes are the calibration's, whichever of them is up."""
+    """Times are seconds since the first frame; the world's axes are as they are, and upAxis says where z goes up."""
     with replacing(path) as part:
         stage = Usd.Stage.CreateNew(str(part))
         stage.SetTimeCodesPerSecond(1.0)
         stage.SetStartTimeCode(0.0)
         stage.SetEndTimeCode(float(poses.times[-1] - poses.times[0]))
-        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if poses.z_up else UsdGeom.Tokens.y)
         UsdGeom.SetStageMetersPerUnit(stage, METRES.get(poses.unit, 1.0))
         world = UsdGeom.Xform.Define(stage, "/world")
         stage.SetDefaultPrim(world.GetPrim())
@@ -45,7 +45,8 @@ def write_usd(poses: Poses, path: Path) -> list[str]:
             before = found
         stage.GetRootLayer().Save()
         del stage
-    return [] if poses.unit else ["lengths are taken for metres: the calibration does not say its unit"]
+    notes = [] if poses.unit else ["lengths are taken for metres: the calibration does not say its unit"]
+    return notes if poses.z_up else [*notes, UP_UNKNOWN]
 
 
 def _axes(stage: Usd.Stage, parent: Sdf.Path, length: float) -> None:

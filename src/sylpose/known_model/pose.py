@@ -19,7 +19,7 @@ from sylpose.numerics.arrays import FloatArray, IntArray
 from sylpose.numerics.checked import finite_rows, items, kind_of, number, whole
 from sylpose.numerics.copies import distinct
 from sylpose.numerics.matrices import covariance_of
-from sylpose.numerics.noise import USUAL_PX, NoiseUnits, noise_units
+from sylpose.numerics.noise import USUAL_PX, NoisePx, NoiseUnits, noise_units
 from sylpose.numerics.robust import BIQUARTIC_BOUND
 from sylpose.numerics.unseen import UNSEEN_SHARE, UNSEEN_TURN, about_a_turn, unseen_directions
 from sylpose.results import Motion, Status
@@ -42,7 +42,7 @@ def estimate_pose(
     pixels: Sequence[ArrayLike],
     *,
     max_error_px: float = 12.0,
-    noise_px: ArrayLike | None = None,
+    noise_px: NoisePx | None = None,
     seed: int = 0,
 ) -> Motion:
     """The object's pose from points known in its own frame, seen by any subset of the cameras: solvePnP for many cameras.
@@ -54,10 +54,10 @@ def estimate_pose(
             several times counts once.
         max_error_px: matches further off than this are wrong, whatever the noise; set it to five times the largest
             noise that is to be expected.
-        noise_px: (C,) what is known of the noise in each camera: the standard deviation of a coordinate, pixels. The cameras
-            count accordingly, `max_error_px` is of the camera with the least and in proportion of others, and no less
-            noise is believed; where the matches show more, more is. Infinite: the camera has no say. None: the matches
-            alone tell.
+        noise_px: (C,) what is known of the noise in each camera, the standard deviation of a coordinate, pixels; or a number
+            by each camera's name. Cameras count accordingly, `max_error_px` is of the one with the least and, of others, in
+            proportion, and no less noise is believed; where the matches show more, more is. Infinite: the camera has no say.
+            None: the matches alone tell.
         seed: of the search. Same input and seed, same result.
 
     Returns:
@@ -80,7 +80,7 @@ def estimate_pose(
     points, pixels = items(points, "points", n), items(pixels, "pixels", n)
     max_error_px = number(max_error_px, "max_error_px", above=0.0, least=LEAST_ERROR, most=MAX_PX)
     seed = whole(seed, "seed")
-    units = NoiseUnits(np.ones(n), 0.0) if noise_px is None else noise_units(noise_px, n)
+    units = NoiseUnits(np.ones(n), 0.0) if noise_px is None else noise_units(noise_px, rig.names)
     models = [
         finite_rows(p, 3, f"camera {camera.name}: points", most=MAX_LENGTH)
         for camera, p in zip(rig, points, strict=True)

@@ -18,7 +18,7 @@ from sylpose.numerics.checked import finite, items, kind_of, listed, number, one
 from sylpose.numerics.compiled import kernel
 from sylpose.numerics.copies import distinct
 from sylpose.numerics.matrices import covariance_of, forget
-from sylpose.numerics.noise import NoiseUnits, noise_units
+from sylpose.numerics.noise import NoisePx, NoiseUnits, noise_units
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig, single_pose
 from sylpose.two_frames.bodies import larger_body
@@ -46,7 +46,7 @@ def estimate_motion(
     initial: RigidTransform | None = None,
     center: ArrayLike | None = None,
     radius: float | None = None,
-    noise_px: ArrayLike | None = None,
+    noise_px: NoisePx | None = None,
     seed: int = 0,
 ) -> Motion:
     """The object's motion between two frames from matches within each camera.
@@ -63,10 +63,10 @@ def estimate_motion(
         center: (3,) where the object's centre is in frame i, world; None: the point nearest to the cameras' mean rays.
         radius: of the object, length units, about right (twice the median distance of its points from the centre); None:
             from the spread of the matches.
-        noise_px: (C,) what is known of the keypoints' noise in each camera: the standard deviation of a coordinate, pixels.
-            The cameras count accordingly, what is far in pixels is so in proportion, and no less noise is believed; where
-            the matches show more, more is. Infinite: the camera has no say. Of the paper's estimators it decides which
-            matches are inliers, no more. None: the matches alone tell.
+        noise_px: (C,) what is known of the keypoints' noise in each camera: the standard deviation of a coordinate, pixels;
+            in the rig's order, or a number by each camera's name. The cameras count accordingly, what is far in pixels is so
+            in proportion, and no less noise is believed; where the matches show more, more is. Infinite: the camera has no
+            say. Of the paper's estimators it decides which matches are inliers, no more. None: the matches alone tell.
         seed: of the outlier rejection. Same input and seed, same result.
 
     Returns:
@@ -89,7 +89,7 @@ def estimate_motion(
         single_pose(initial, "initial")
     if center is not None:
         center = finite(center, (3,), "center")
-    units = NoiseUnits(np.ones(len(rig)), 0.0) if noise_px is None else noise_units(noise_px, len(rig))
+    units = NoiseUnits(np.ones(len(rig)), 0.0) if noise_px is None else noise_units(noise_px, rig.names)
     singles = [distinct(m.x, m.y) for m in matches]
     if any(single is not None for single in singles):
         once = [m if s is None else Matches(m.x[s.rows], m.y[s.rows]) for m, s in zip(matches, singles, strict=True)]
@@ -135,7 +135,7 @@ def estimate_motions(
     pairs: Iterable[Sequence[Matches]],
     *,
     method: str = "epipolar",
-    noise_px: ArrayLike | None = None,
+    noise_px: NoisePx | None = None,
     seed: int = 0,
     threads: int = 1,
 ) -> list[Motion]:
