@@ -604,6 +604,22 @@ def test_files_that_come_out_of_order_are_put_in_order(folder: Path) -> None:
     assert [shown(s)[0] for s in sets] == list(range(8))
 
 
+def test_a_gap_is_seen_in_whatever_order_files_are_listed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 0, 1 and 3, listed as 3, 1, 0, one is missing, and comes."""
+    for k in (0, 1, 3):
+        for camera in ("cam_0", "cam_1"):
+            write(folder, camera, k)
+    listed = os.scandir
+    monkeypatch.setattr(os, "scandir", lambda path: iter(sorted(listed(path), key=lambda e: e.name, reverse=True)))
+    sets = []
+    for its in follow(folder, idle=3, max_delay=60).frames(on_problem=pytest.fail):
+        sets.append(its.index)
+        if its.index == 1:
+            for camera in ("cam_0", "cam_1"):
+                write(folder, camera, 2)
+    assert sets == [0, 1, 2, 3]
+
+
 def test_a_folder_that_stays_empty_ends_with_an_error(folder: Path) -> None:
     with pytest.raises(OSError, match=r"got any image within 0.3 s"):
         list(follow(folder).frames(on_problem=pytest.fail))

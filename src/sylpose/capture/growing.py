@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -77,7 +78,12 @@ class _Folder:
                 self._list(given, final)
                 end = time.monotonic()
                 self._next_list = end + max(LIST_PAUSE, (end - begin) / LIST_SHARE)
-        return len(self.files) > known
+        if len(self.files) == known:
+            return False
+        # A listing has them in any order: the closest ones need not have come one after the other.
+        steps = [b - a for a, b in pairwise(sorted(self.files))]
+        self.step = min([*steps, *([self.step] if self.step else [])], default=0)
+        return True
 
     def forget(self, number: int) -> None:
         """A number is done with."""
