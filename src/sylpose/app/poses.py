@@ -57,6 +57,7 @@ def pose_aloud(
     *,
     given: Path | None = None,
     cameras: Sequence[str] | None = None,
+    without: Sequence[str] | None = None,
     unit: str | None = None,
     is_in: str | None = None,
     rate: float | None = None,
@@ -76,6 +77,7 @@ def pose_aloud(
         out: folder for the files.
         given: a calibration; None for that of the recording.
         cameras: NAME=FILE, for files whose names do not tell the camera.
+        without: cameras of a recording that are left out.
         unit: of all lengths in the results; is_in: of the model's, where it does not say it.
         rate: frames per second, where neither tables nor the recording have times.
         likelihood: points of tables that are less likely count as not seen.
@@ -93,7 +95,7 @@ def pose_aloud(
     if (out / SETTINGS).exists():
         raise ValueError(f"{out}: a run's results are there; another folder is expected: --out DIR")
     if len(seen) == 1 and seen[0].is_dir():
-        session = open_recorded(seen[0], given, None, None, None, cameras, rate, unit)
+        session = open_recorded(seen[0], given, None, None, None, cameras, rate, unit, without=without)
         check_out(session, out)
         rig, source = session.rig, seen[0]
         layout = _markers(known, model, rig, is_in)
@@ -104,6 +106,8 @@ def pose_aloud(
             )
         frames: Iterable[Seen] = _in_recording(session, layout, start, stop, every)
     else:
+        if without:
+            raise ValueError("--without: is for recordings; of tables, leave those of the camera out")
         if given is None:
             raise ValueError("--calibration FILE: tables of pixels need one")
         rig, source = calibration.load(given), given if not seen else seen[0]

@@ -49,6 +49,8 @@ def write_record(
     text += f"calibration = {toml_string(str(session.calibration.resolve()))}\n"
     if isinstance(session, Session) and session.rate is not None:
         text += f"rate = {session.rate!r}\n"
+    if session.without:
+        text += f"without = [{', '.join(map(toml_string, session.without))}]\n"
     if noticed:
         text += f"noticed = [{', '.join(map(toml_string, noticed))}]\n"
     text += _table("options", {name: value for name, value in asked.items() if not isinstance(value, Mapping)})
