@@ -293,7 +293,7 @@ def test_a_batch_is_told_in_it_too(recording: Path, on_the_tag: Path, tmp_path: 
         (("--world", "apriltag:36h11,id=5"), "size is missing; expected is one such as apriltag:36h11,id=3,size=80mm"),
         (("--world", TAG, "--world-from", "nowhere"), "nowhere: no such folder; --world-from is a folder with images"),
         (("--world", "nothing.toml"), "neither a file that is there, nor a board such as charuco:5x7"),
-        (("--world", "up=0,0,0"), "up must be a direction"),
+        (("--world", "up=0,0,0"), "--world must be a direction"),
         (
             ("--world", "up=-y", "--world-frame", "1"),
             "--world-frame and --world-from are for boards, and --world up=-y is none",
