@@ -90,6 +90,11 @@ def test_where_all_contradict_each_other_nobody_is_named() -> None:
     doubt = doubts()
     doubt[20:] = 8.0
     assert disagreements(said(doubt)) == []
+    (told,) = remarks(said(doubt))
+    assert told.startswith("the cameras contradict each other in 40 of 60 frames")
+    # Half as often, as one that is calibrated a little off is doubted with the others.
+    doubt[40:] = 1.0
+    assert remarks(said(doubt)) == []
     # Of two, nobody knows which one.
     pair = doubts(2)
     pair[20:, 0] = 50.0
@@ -103,6 +108,13 @@ def test_where_cameras_take_turns_nobody_was_moved() -> None:
     assert [d.camera for d in disagreements(said(doubt))] == ["cam_2"]
     doubt[22::5, 2], doubt[22::5, 0] = 1.0, 9.0
     assert disagreements(said(doubt)) == []
+
+
+def test_cameras_that_see_something_else_are_named() -> None:
+    doubt = doubts()
+    doubt[10:, [0, 3]] = np.inf
+    (told,) = remarks(said(doubt))
+    assert told == "what cam_0 and cam_3 see agrees with no pose of the others: are their calibrations exchanged?"
 
 
 def test_two_times_are_two() -> None:

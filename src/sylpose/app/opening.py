@@ -28,6 +28,7 @@ def open_recorded(
     rate: float | None = None,
     unit: str | None = None,
     world: WorldAsked | None = None,
+    without: Sequence[str] | None = None,
 ) -> Session:
     """A recording; the arguments are the options of the same names, None where they were not given.
 
@@ -44,6 +45,7 @@ def open_recorded(
         offsets=_offsets(offset),
         cameras=cameras,
         rate=rate,
+        without=without or (),
     )
     return told(opened, world, unit)
 
@@ -62,6 +64,7 @@ def open_asked(
     camera: Sequence[str] | None = None,
     unit: str | None = None,
     world: WorldAsked | None = None,
+    without: Sequence[str] | None = None,
 ) -> Session | live.LiveSession:
     """A recording, or with `follow` or a live.toml a live session; otherwise as `open_recorded`.
 
@@ -71,7 +74,9 @@ def open_asked(
     if not (follow or live.is_live(path)):
         if lossless:
             raise ValueError("--lossless is only for growing folders, with --follow")
-        return open_recorded(path, calibration, boxes, masks, offset, camera, rate, unit, world)
+        return open_recorded(path, calibration, boxes, masks, offset, camera, rate, unit, world, without)
+    if without:
+        raise ValueError("--without: of live cameras and growing folders all take part that the calibration has")
     if camera:
         raise ValueError(
             "--camera: of live cameras live.toml says which is which, and growing folders have their names"

@@ -62,6 +62,7 @@ def pose_aloud(
     *,
     given: Path | None = None,
     cameras: Sequence[str] | None = None,
+    without: Sequence[str] | None = None,
     unit: str | None = None,
     is_in: str | None = None,
     rate: float | None = None,
@@ -81,6 +82,7 @@ def pose_aloud(
         out: folder for the files.
         given: a calibration; None for that of the recording.
         cameras: NAME=FILE, for files whose names do not tell the camera.
+        without: cameras of a recording that are left out.
         unit: of all lengths in the results; is_in: of the model's, where it does not say it.
         rate: frames per second, where neither tables nor the recording have times.
         likelihood: points of tables that are less likely count as not seen.
@@ -102,7 +104,7 @@ def pose_aloud(
     asked: dict[str, object] = {"model": str(model.resolve()), "model_checksum": checksum(model), "is_in": is_in}
     asked |= {"max_error_px": max_error_px, "seed": seed}
     if len(seen) == 1 and seen[0].is_dir():
-        session = open_recorded(seen[0], given, None, None, None, cameras, rate, unit)
+        session = open_recorded(seen[0], given, None, None, None, cameras, rate, unit, without=without)
         check_out(session, out)
         offsets = find_offsets(session)
         session = retimed(session, [offsets.get(name, 0.0) for name in session.rig.names])
@@ -116,6 +118,8 @@ def pose_aloud(
         asked |= {"start": start, "stop": stop, "every": every, "offsets": dict(offsets) or None}
         record = partial(write_record, out, session, asked, noticed)
     else:
+        if without:
+            raise ValueError("--without: is for recordings; of tables, leave those of the camera out")
         if given is None:
             raise ValueError("--calibration FILE: tables of pixels need one")
         rig, source = calibration.load(given), given if not seen else seen[0]

@@ -10,7 +10,8 @@ import msgspec
 
 from sylpose.app.checkpoint import fingerprint
 from sylpose.app.record import SETTINGS, USED
-from sylpose.capture import Session, open_session
+from sylpose.capture import Session
+from sylpose.capture.session import reopen_session
 from sylpose.reading import Unreadable, parsed_toml, text_of, told
 from sylpose.sync.offsets import retimed
 
@@ -23,6 +24,7 @@ class _Settings(msgspec.Struct, frozen=True):
     recording: str = ""
     cameras: dict[str, str] = {}
     rate: float | None = None
+    without: list[str] = []
     frame_offsets: dict[str, int] = {}
     offsets: dict[str, float] = {}
     checksums: dict[str, str] = {}
@@ -52,10 +54,10 @@ def recording_of(result: Path, moved: Path | None = None) -> Session:
     elif any(name.startswith(("\\\\", "//")) for name in (settings.recording, *cameras.values())):
         # To ask for it would tell a computer that the result's author has chosen who asks.
         raise ValueError(f"{run / SETTINGS}: the recording is on another computer; say --recording DIR if it is yours")
-    session = open_session(path, calibration=run / USED, cameras=cameras, offsets=settings.frame_offsets)
+    session = reopen_session(path, run / USED, settings.frame_offsets, cameras, None, settings.without)
     if session.rate is None and settings.rate is not None:  # that was said, of folders of images
         rate = settings.rate
-        session = open_session(path, calibration=run / USED, cameras=cameras, offsets=settings.frame_offsets, rate=rate)
+        session = reopen_session(path, run / USED, settings.frame_offsets, cameras, rate, settings.without)
     session = retimed(session, [settings.offsets.get(name, 0.0) for name in session.rig.names])
     now = fingerprint(session)
     for name in ("images", "time stamps or offsets"):

@@ -21,6 +21,7 @@ from sylpose.capture.sources import Source, find_sources, sizes_in
 from sylpose.capture.timeline import Timeline, build_timeline, load_timestamps
 from sylpose.frames import Box, FrameSet
 from sylpose.numerics.arrays import BoolArray
+from sylpose.numerics.checked import listed
 from sylpose.reading import told
 from sylpose.rig import Rig
 
@@ -39,6 +40,7 @@ class SessionBase:
         masks: the folder of masks, or None.
         warnings: sentences about what looks wrong but can be worked with.
         world: of one's own, in which the rig is told; None in the calibration's.
+        without: cameras of the calibration that are left out; the rig has only the others.
     """
 
     path: Path
@@ -50,6 +52,7 @@ class SessionBase:
     _boxes: dict[str, dict[str, Box]] = field(repr=False)
     _masks: dict[str, tuple[Masks, ...]] = field(repr=False)
     world: World | None = field(default=None, kw_only=True)
+    without: tuple[str, ...] = field(default=(), kw_only=True)
 
     @property
     def boxes(self) -> dict[str, Box]:
@@ -199,6 +202,7 @@ def open_session(
     offsets: Mapping[str, int] | None = None,
     cameras: Mapping[str, Path | str] | None = None,
     rate: float | None = None,
+    without: Sequence[str] = (),
 ) -> Session:
     """Open a recording: a folder with one video (`cam_0.mp4`) or one folder of images (`cam_0/`) per camera.
 
@@ -214,6 +218,7 @@ def open_session(
         offsets: by camera; its frame k is shown at instant k + offset, so a camera that starts late has offset > 0.
         cameras: by camera, its video or folder of images (relative ones in `path`), where the names do not tell.
         rate: frames per second of folders of images without time stamps.
+        without: cameras of the calibration that are left out, whether they have images or not.
 
     Raises:
         FileNotFoundError: no such folder or file.
@@ -221,7 +226,24 @@ def open_session(
     """
     path = Path(path)
     with told(path):
-        return _opened(path, calibration, boxes, masks, offsets, cameras, rate)
+        return _opened(path, calibration, boxes, masks, offsets, cameras, rate, without)
+
+
+def reopen_session(
+    path: Path,
+    calibration: Path,
+    offsets: Mapping[str, int],
+    cameras: Mapping[str, Path | str],
+    rate: float | None,
+    without: Sequence[str],
+) -> Session:
+    """The same for its images alone, by the calibration of a run that had left cameras out: it has them no more.
+
+    Raises:
+        FileNotFoundError, ValueError: as `open_session`.
+    """
+    with told(path):
+        return _opened(path, calibration, None, None, offsets, cameras, rate, without, again=bool(without))
 
 
 def _opened(
@@ -232,6 +254,8 @@ def _opened(
     offsets: Mapping[str, int] | None,
     cameras: Mapping[str, Path | str] | None,
     rate: float | None,
+    without: Sequence[str],
+    again: bool = False,
 ) -> Session:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such folder")
@@ -240,23 +264,25 @@ def _opened(
     calibration = calibrations.find(path) if calibration is None else Path(calibration)
     boxes = None if boxes is None else Path(boxes)
     masks = None if masks is None else Path(masks)
-    if boxes is None and (path / "boxes.toml").is_file():
+    if boxes is None and not again and (path / "boxes.toml").is_file():
         boxes = path / "boxes.toml"
-    if masks is None and (path / "masks").is_dir():
+    if masks is None and not again and (path / "masks").is_dir():
         masks = path / "masks"
 
     others = [] if masks is None else [masks]
-    rig = calibrations.load(calibration, lambda names: sizes_in(path, names, calibration, others, cameras))
-    sources, warnings = find_sources(path, rig, calibration, not_cameras=others, named=cameras)
+    rig = calibrations.load(calibration, lambda names: sizes_in(path, names, calibration, others, cameras, without))
+    whole, rig = rig, rig if again else _left(rig, without, calibration)
+    sources, warnings = find_sources(path, rig, calibration, not_cameras=others, named=cameras, without=without)
     for source in sources:
         check_readable(source)
     stamps_file = path / "timestamps.csv"
-    stamps = load_timestamps(stamps_file, rig.names) if stamps_file.is_file() else None
+    stamps = load_timestamps(stamps_file, rig.names, without) if stamps_file.is_file() else None
     timeline, timeline_warnings = build_timeline(sources, stamps, offsets, rate)
-    by_object, mask_warnings = ({}, []) if masks is None else find_masks(masks, rig, sources)
+    by_object, mask_warnings = ({}, []) if masks is None else find_masks(masks, whole, sources)
     for camera_masks in by_object.values():
         check_first_masks(camera_masks, sources, timeline.frames)
-    object_boxes = {} if boxes is None else load_boxes(boxes, rig)
+    object_boxes = {} if boxes is None else load_boxes(boxes, whole)
+    object_boxes = {name: {c: box for c, box in its.items() if c in rig.names} for name, its in object_boxes.items()}
     return Session(
         path=path,
         rig=rig,
@@ -266,9 +292,25 @@ def _opened(
         masks=masks,
         timeline=timeline,
         warnings=(*warnings, *timeline_warnings, *mask_warnings),
+        without=tuple(without),
         _boxes=object_boxes,
         _masks=by_object,
     )
+
+
+def _left(rig: Rig, without: Sequence[str], calibration: Path) -> Rig:
+    """The cameras that are not left out.
+
+    Raises:
+        ValueError: one that the calibration does not have; all of them.
+    """
+    without = listed(without, str, "without")
+    if unknown := [name for name in without if name not in rig.names]:
+        raise ValueError(f"without: {unknown[0]!r} is no camera of {calibration.name} ({', '.join(rig.names)})")
+    kept = [name for name in rig.names if name not in without]
+    if not kept:
+        raise ValueError(f"without: no camera of {calibration.name} is left")
+    return rig.subset(kept) if without else rig
 
 
 def any_of(masks: Sequence[BoolArray | None]) -> BoolArray | None:

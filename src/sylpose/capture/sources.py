@@ -69,19 +69,21 @@ def find_sources(
     calibration: Path,
     not_cameras: Iterable[Path] = (),
     named: Mapping[str, Path | str] | None = None,
+    without: Sequence[str] = (),
 ) -> tuple[tuple[Source, ...], list[str]]:
     """The sources of a session's folder in the rig's order, and what looks wrong with them.
 
     Args:
         not_cameras: folders that are something else, such as masks.
         named: video or folder of images by camera, where the names do not tell; the others are looked for.
+        without: cameras besides the rig's, which may have a video or not.
 
     Raises:
         FileNotFoundError: one that is named is not there.
         ValueError: cameras without source and sources without camera (all named), a video that cannot be read,
             an image size that differs from the calibration's.
     """
-    by_camera = _entries(path, rig.names, calibration, not_cameras, named)
+    by_camera = _entries(path, rig.names, calibration, not_cameras, named, without)
     warnings: list[str] = []
     sources = []
     for camera in rig:
@@ -96,6 +98,7 @@ def sizes_in(
     calibration: Path,
     not_cameras: Iterable[Path] = (),
     named: Mapping[str, Path | str] | None = None,
+    without: Sequence[str] = (),
 ) -> dict[str, tuple[int, int]]:
     """How large the images of cameras are, of which the calibration does not say it.
 
@@ -103,7 +106,8 @@ def sizes_in(
         FileNotFoundError, ValueError: as `find_sources`.
     """
     sizes = {}
-    for name, entry in _entries(path, cameras, calibration, not_cameras, named).items():
+    kept = [name for name in cameras if name not in without]
+    for name, entry in _entries(path, kept, calibration, not_cameras, named, without).items():
         if entry.is_dir():
             sizes[name] = image_size(image_files(entry)[0])
             continue
@@ -119,17 +123,19 @@ def _entries(
     calibration: Path,
     not_cameras: Iterable[Path],
     named: Mapping[str, Path | str] | None,
+    without: Sequence[str],
 ) -> dict[str, Path]:
-    """The video or folder of images of each camera."""
+    """The video or folder of images of each camera; those of the ones left out are not taken for another's."""
     by_camera = _named(path, cameras, calibration, named or {})
     left = [name for name in cameras if name not in by_camera]
     others = {resolved(folder) for folder in (*not_cameras, *by_camera.values())}
-    found = [entry for entry in sorted(path.iterdir()) if _is_source(entry, cameras) and resolved(entry) not in others]
+    known = (*cameras, *without)
+    found = [entry for entry in sorted(path.iterdir()) if _is_source(entry, known) and resolved(entry) not in others]
     if not found and left:
         raise ValueError(f"{path}: no videos and no folders of images, one per camera, in this folder")
     names = {entry: entry.name if entry.is_dir() else entry.stem for entry in found}
     try:
-        matched = match_names(dict.fromkeys(names.values()), left)
+        matched = match_names(dict.fromkeys(names.values()), [*left, *without])
     except ValueError as error:
         raise ValueError(f"{path}: {error}; --camera NAME=FILE says it") from None
     for entry in found:
@@ -138,6 +144,8 @@ def _entries(
             raise ValueError(f"{path}: {by_camera[name].name} and {entry.name} are both for camera {name}")
         if name is not None:
             by_camera[name] = entry
+    for name in without:
+        by_camera.pop(name, None)
     missing = [name for name in cameras if name not in by_camera]
     # Where some were named, others may lie beside them.
     extra = [entry.name for entry in found if names[entry] not in matched] if not named else []
@@ -153,8 +161,9 @@ def _entries(
             wrong.append(f"no video or image folder for camera {', '.join(missing)} of {calibration.name}")
         if extra:
             wrong.append(f"no camera in {calibration.name} ({', '.join(cameras)}) for {', '.join(extra)}")
+        leave = f", --without {missing[0]} leaves a camera out" if 0 < len(missing) < len(cameras) else ""
         listed = "" if len(extra) == len(found) else f"; found {', '.join(entry.name for entry in found)}"
-        raise ValueError(f"{path}: {'; '.join(wrong)}{listed}; --camera NAME=FILE says which is which")
+        raise ValueError(f"{path}: {'; '.join(wrong)}{listed}; --camera NAME=FILE says which is which{leave}")
     return by_camera
 
 

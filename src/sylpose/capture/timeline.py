@@ -37,8 +37,11 @@ class Timeline:
     offsets: Mapping[str, int] = field(default_factory=dict)
 
 
-def load_timestamps(path: Path, cameras: Sequence[str]) -> FloatArray:
+def load_timestamps(path: Path, cameras: Sequence[str], without: Sequence[str] = ()) -> FloatArray:
     """Read time stamps: CSV with columns `frame`, counted from 0, and one per camera, in seconds; empty for no frame.
+
+    Args:
+        without: cameras that may have a column or not; instants that they alone have are left out.
 
     Returns:
         (n, C) in the order of `cameras`; NaN where a camera has no frame.
@@ -48,7 +51,13 @@ def load_timestamps(path: Path, cameras: Sequence[str]) -> FloatArray:
     """
     text = text_of(path, MAX_TABLE)
     with told(path):
-        return _stamps_in(text, cameras, path)
+        try:
+            return _stamps_in(text, cameras, path)
+        except ValueError:
+            if not without:
+                raise
+        stamps = _stamps_in(text, [*cameras, *without], path)[:, : len(cameras)]
+        return np.asarray(stamps[np.isfinite(stamps).any(axis=1)])
 
 
 def _stamps_in(text: str, cameras: Sequence[str], path: Path) -> FloatArray:

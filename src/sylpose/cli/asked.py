@@ -36,6 +36,7 @@ __all__ = [
     "SessionPath",
     "Stop",
     "Unit",
+    "Without",
     "World",
     "WorldFrame",
     "WorldFrom",
@@ -175,6 +176,10 @@ CameraFiles = Annotated[
     typer.Option(
         "--camera", metavar="NAME=FILE", help="A camera's video or folder, where its name does not tell; several times."
     ),
+]
+Without = Annotated[
+    list[str] | None,
+    typer.Option("--without", metavar="CAM", help="Leave a camera out, one without a video, say; several times."),
 ]
 Rate = Annotated[
     float | None,

@@ -15,6 +15,7 @@ from sylpose.cli.asked import (
     Seed,
     Stop,
     Unit,
+    Without,
     app,
     examples,
     fail,
@@ -52,6 +53,7 @@ def pose(
     calibration: CalibrationFile = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the results go.")] = Path("sylpose_pose"),
     camera: CameraFiles = None,
+    without: Without = None,
     rate: Rate = None,
     unit: Unit = None,
     is_in: Annotated[
@@ -84,6 +86,7 @@ def pose(
         out,
         given=calibration,
         cameras=camera,
+        without=without,
         unit=unit,
         is_in=is_in,
         rate=rate,

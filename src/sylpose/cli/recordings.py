@@ -22,6 +22,7 @@ from sylpose.cli.asked import (
     SessionPath,
     Stop,
     Unit,
+    Without,
     World,
     WorldFrame,
     WorldFrom,
@@ -47,6 +48,7 @@ def check(
     offset: Offsets = None,
     out: OutFolder = None,
     camera: CameraFiles = None,
+    without: Without = None,
     rate: Rate = None,
     unit: Unit = None,
     world: World = None,
@@ -62,7 +64,7 @@ def check(
     from sylpose.app.world import asked_world
 
     asked = asked_world(world, world_frame, world_from)
-    check_aloud(open_recorded(session, calibration, boxes, masks, offset, camera, rate, unit, asked), out)
+    check_aloud(open_recorded(session, calibration, boxes, masks, offset, camera, rate, unit, asked, without), out)
 
 
 @app.command(
@@ -79,6 +81,7 @@ def box(
     masks: MasksFolder = None,
     offset: Offsets = None,
     camera: CameraFiles = None,
+    without: Without = None,
     rate: Rate = None,
     start: Annotated[int, typer.Option(metavar="N", help="The frame to draw into: the first to track.")] = 0,
     port: Port = 0,
@@ -96,7 +99,7 @@ def box(
     if is_live(session):
         raise ValueError(f"{session}: of live cameras; boxes are drawn into recordings")
     there = out if out is not None and out.exists() else None
-    opened = open_recorded(session, calibration, there, masks, offset, camera, rate)
+    opened = open_recorded(session, calibration, there, masks, offset, camera, rate, without=without)
     given: dict[str, Sequence[object] | None] = {
         "--calibration": [calibration],
         "--masks": [masks],
@@ -123,6 +126,7 @@ def sync(
         Path | None, typer.Option(metavar="FILE", help="Where the offsets go; SESSION/offsets.toml by default.")
     ] = None,
     camera: CameraFiles = None,
+    without: Without = None,
     rate: Rate = None,
     max_lag: Annotated[float, typer.Option(metavar="SEC", help="How far apart two cameras may be.")] = 3.0,
     start: Annotated[int, typer.Option(metavar="N", help="The first frame to look at.")] = 0,
@@ -133,6 +137,6 @@ def sync(
     from sylpose.app.opening import open_recorded
     from sylpose.app.sync import Known, sync_aloud
 
-    opened = open_recorded(session, calibration, boxes, masks, None, camera, rate)
+    opened = open_recorded(session, calibration, boxes, masks, None, camera, rate, without=without)
     if set(sync_aloud(opened, out, max_lag=max_lag, start=start, stop=stop, seed=seed).known) == {Known.NOT}:
         fail(["no offset could be found; nothing was written"])

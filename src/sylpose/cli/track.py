@@ -25,6 +25,7 @@ from sylpose.cli.asked import (
     SessionPath,
     Stop,
     Unit,
+    Without,
     World,
     WorldFrame,
     WorldFrom,
@@ -111,6 +112,7 @@ def track(
     ] = False,
     rate: Rate = None,
     camera: CameraFiles = None,
+    without: Without = None,
     unit: Unit = None,
     world: World = None,
     world_frame: WorldFrame = None,
@@ -158,6 +160,7 @@ def track(
         camera=camera,
         unit=unit,
         world=asked_world(world, world_frame, world_from),
+        without=without,
     )
     if resume and has_ended(opened, out):
         print(f"{output_path(opened, out)}: the run there has ended; there is nothing to resume")

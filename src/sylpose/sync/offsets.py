@@ -54,7 +54,8 @@ def find_offsets(session: Session | LiveSession, file: Path | None = None) -> di
         file = session.path / OFFSETS_FILE
         if not file.is_file():
             return {}
-    offsets = load_offsets(file, session.rig.names)
+    offsets = load_offsets(file, (*session.rig.names, *session.without))
+    offsets = {name: seconds for name, seconds in offsets.items() if name in session.rig.names}
     if any(offsets.values()) and isinstance(session, Session) and session.rate is None:
         raise ValueError(f"{file}: offsets are in seconds, but of this recording only the order of the frames is known")
     return offsets
