@@ -54,14 +54,13 @@ def write_record(
         OSError: naming the file that cannot be written.
     """
     of_session = {"rate": session.rate, "unit": session.rig.unit or None, "world": session.world and session.world.said}
-<<<<<<< HEAD
     of: dict[str, object] = {
         "recording": str(session.path.resolve()),
         "calibration": str(session.calibration.resolve()),
     }
     rest = ""
     if isinstance(session, Session):
-        of |= _known({"rate": session.rate})
+        of |= _known({"rate": session.rate, "without": [*session.without] or None})
         if session.timeline.offsets:
             rest += _table("frame_offsets", session.timeline.offsets)
         rest += _table("cameras", {source.camera: str(source.path.resolve()) for source in session.sources})
@@ -105,15 +104,6 @@ def _write(
     output_folder(folder)
     asked = _known(asked)
     text = f"{_HEAD}begun = {datetime.now(UTC).isoformat(timespec='seconds')}\n{_lines(of)}"
-=======
-    asked |= {name: value for name, value in of_session.items() if value is not None}
-    text = f"{_HEAD}begun = {begun}\nrecording = {toml_string(str(session.path.resolve()))}\n"
-    text += f"calibration = {toml_string(str(session.calibration.resolve()))}\n"
-    if isinstance(session, Session) and session.rate is not None:
-        text += f"rate = {session.rate!r}\n"
-    if session.without:
-        text += f"without = [{', '.join(map(toml_string, session.without))}]\n"
->>>>>>> export
     if noticed:
         text += _lines({"noticed": [*noticed]})
     text += _table("options", {name: value for name, value in asked.items() if not isinstance(value, Mapping)})
