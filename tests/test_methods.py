@@ -1,4 +1,4 @@
-"""The table of methods: what it says is so, and README and `--help` say the same."""
+"""The table of methods: what it says is so, and docs/choosing.md and `--help` say the same."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def test_the_function_is_there(method: Method) -> None:
     assert callable(getattr(loaded, name))
 
 
-def test_readme_has_the_table() -> None:
-    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+def test_the_documentation_has_the_table() -> None:
+    text = (REPOSITORY / "docs" / "choosing.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:3] == "| `"]
     said = [[cell.replace(" (default)", "").strip("`") for cell in row[:4]] for row in rows if len(row) == 5][1:]
     assert said == [[m.name, m.needs, m.gives, ", ".join(m.features)] for m in TABLE]

@@ -9,7 +9,7 @@ from sylpose.numerics.arrays import FloatArray
 
 __all__ = ["exact_motion", "motion", "speed_noise"]
 
-# Poses that a polynomial of the fourth degree goes through.
+# Poses that a polynomial of the fourth degree goes through (derived).
 NEAR = 5
 
 
