@@ -36,8 +36,8 @@ from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["Asked", "interrupted", "node_aloud", "nodes_aloud"]
 
-# Seconds between two lines of how a node is; of silence after which a node is not shown any more (choice).
-SAYS_EVERY, GONE_AFTER = 1.0, 5.0
+# Seconds between two lines of how a node is (choice).
+SAYS_EVERY = 1.0
 # Of a clock that is off by more than a share of a second, as heard (choice: no local network is as slow).
 CLOCK_OFF = 0.2
 

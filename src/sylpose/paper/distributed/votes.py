@@ -24,9 +24,9 @@ from sylpose.paper.bad_cameras import TRUSTED, doubt_of
 
 __all__ = ["IDLE", "VOTE", "Search", "begun", "searched", "vote_of"]
 
-# Numbers of one: normal equations, score, and whether the camera moves, stands still or is not judged (derived).
+# Numbers of one: normal equations, score, and whether the camera moves, stands still or is not judged, 0 (derived).
 VOTE = 6 + 3 + 1 + 1
-MOVES, STILL, NOT_JUDGED = 1.0, -1.0, 0.0
+MOVES, STILL = 1.0, -1.0
 # A step that turns by less, radians, changes no score by more than a hundredth; and steps at most, as in `affine_votes`
 # (choice).
 ENOUGH, STEPS = 1e-4, 12
