@@ -135,7 +135,9 @@ def test_covariances_turn_with_the_world(recording: Path, tmp_path: Path) -> Non
             expected = turn @ before.covariance @ turn.T
             ratios += np.linalg.eigvals(np.linalg.solve(expected, after.covariance)).real.tolist()
     assert len(ratios) >= 6 * (FRAMES - 3)
-    assert 0.6 < min(ratios) <= max(ratios) < 1.6
+    # Not turned, they are between 0.01 and 70; other frames see other features by chance.
+    assert 0.3 < min(ratios) <= max(ratios) < 3.0
+    assert 0.8 < np.median(ratios) < 1.25
 
 
 def test_all_ways_to_tell_a_world_agree(recording: Path, tmp_path: Path, world_from_tag: RigidTransform) -> None:
