@@ -23,6 +23,8 @@ from sylpose.units import METRES
 __all__ = ["compare_aloud", "may_differ", "numbers_of", "read_motion"]
 
 SHOWN = ("rmse", "median", "max")
+# What is less is rounding: degrees, and lengths in any unit (choice).
+NOTHING = 1e-9
 
 
 class _Motion(NamedTuple):
@@ -62,7 +64,8 @@ def compare_aloud(
         console.print(f"Scale: {result.scale:.6g}")
     rows = []
     for label, degrees, lengths in _errors(result, step):
-        turned, moved = statistics(np.degrees(degrees)), statistics(lengths)
+        both = statistics(np.degrees(degrees)), statistics(lengths)
+        turned, moved = ({name: v if v > NOTHING else 0.0 for name, v in its.items()} for its in both)
         rows.append([f"{label} turn", *(f"{turned[name]:.3g}°" for name in SHOWN)])
         rows.append([f"{label} position", *(text.length(moved[name], unit) for name in SHOWN)])
     text.print_table(console, ("Error", *SHOWN), rows)
