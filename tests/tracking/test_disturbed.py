@@ -12,6 +12,7 @@ from sylpose.numerics.arrays import Image
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, chamfered_box
+from sylpose.tracking.learn import silenced
 from sylpose.tracking.tracker import track
 from tests.clips import (
     BLACK,
@@ -185,3 +186,20 @@ def test_an_unknown_side_is_not_taken_for_a_known_one() -> None:
     clip = Clip.render(moving_scene(path, 16, n_cameras=3))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
     assert set(statuses(tracked[8:])) <= {FrameStatus.COASTING, FrameStatus.LOST, FrameStatus.ONLY_STILL}
+
+
+@pytest.mark.parametrize(
+    ("doubt", "silent"),
+    [
+        ([1.0, 71.0, 1.0, 1.0], [False, True, False, False]),
+        ([1.0, 71.0, 40.0, 1.0], [False, True, True, False]),
+        # The last would go on by what it sees alone.
+        ([71.0, 37.0, 61.0, 7.0], [False] * 4),
+        ([np.nan, 37.0, 61.0, 7.0], [False] * 4),
+        ([np.nan, 2.0, np.inf, 7.0], [False, False, True, False]),
+        ([50.0], [False]),
+    ],
+)
+def test_most_cameras_are_never_silent(doubt: list[float], silent: list[bool]) -> None:
+    on_it = ~np.isnan(doubt)
+    assert silenced(np.array(doubt), on_it).tolist() == silent

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
 from sylpose.matches import STILL_PX
-from sylpose.numerics.arrays import FloatArray
+from sylpose.numerics.arrays import BoolArray, FloatArray
 from sylpose.results import FramePose, FrameStatus, Observable, Status
 from sylpose.tracking.anchor import Anchor
 from sylpose.tracking.find import Found, on_the_move
@@ -28,7 +28,7 @@ from sylpose.tracking.window import at_least, is_due, refined
 from sylpose.two_frames.fit import MIN_MATCHES
 from sylpose.two_frames.verdict import observed
 
-__all__ = ["accept_first", "accepted", "first_points", "not_found", "told_by_matches", "triangulated"]
+__all__ = ["accept_first", "accepted", "first_points", "not_found", "silenced", "told_by_matches", "triangulated"]
 
 # One camera sees a turn and its mirror image alike, with hollow for round: an object in a box is taken to be round, and its
 # middle to be nearer than its centre by this share of its radius (choice).
@@ -90,10 +90,7 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
     on_it = np.array([a.tried_moved for a in found.agreed]) >= MIN_MATCHES  # else it may see something else
     # Nor do frames teach in which all may be background still: as the object creeps, its landmarks would go half of the way.
     proven = joint.proven_by(found.agreed)
-    doubted = on_it & (doubt > SILENT)
-    # Where most are doubted nobody knows which are wrong: the one left would go on by what it sees alone, and agree.
-    most = 2 * np.count_nonzero(doubted) > np.count_nonzero(on_it)
-    silent = (doubted & (not most)) | (not proven)
+    silent = silenced(doubt, on_it) | (not proven)
     cameras = crew.each(lambda c: parts[c].blind() if silent[c] else found.frame.cameras[c])
     frame = replace(found.frame, cameras=cameras)
     known, radius = joint.known, joint.object.radius
@@ -193,6 +190,20 @@ def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[
         frame.late,
         sought=tuple(sought),
     )
+
+
+def silenced(doubt: FloatArray, on_it: BoolArray) -> BoolArray:
+    """(C,) the cameras that teach nothing in a frame.
+
+    Where most are doubted nobody knows which are wrong: none is silent, or the one left would go on by what it sees alone,
+    agree with itself, and be sure of it.
+
+    Args:
+        doubt: (C,) as in `FramePose`; on_it: (C,) which cameras have matches enough to be doubted.
+    """
+    doubted = on_it & (doubt > SILENT)
+    most = 2 * np.count_nonzero(doubted) > np.count_nonzero(on_it)
+    return np.zeros_like(doubted) if most else doubted
 
 
 def _unnoticed(team: Team, pose: RigidTransform, radius: float) -> FloatArray:
