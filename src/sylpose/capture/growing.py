@@ -70,7 +70,7 @@ class _Folder:
 
     def look(self, given: int, final: bool = False) -> bool:
         """Whether there are new files. `final` lists the folder in any case, and is content with a single image."""
-        known = len(self.files)
+        known, latest = len(self.files), self._latest
         if self.path is not None:
             self._probe(given)
             begin = time.monotonic()
@@ -80,9 +80,10 @@ class _Folder:
                 self._next_list = end + max(LIST_PAUSE, (end - begin) / LIST_SHARE)
         if len(self.files) == known:
             return False
-        # A listing has them in any order: the closest ones need not have come one after the other.
-        steps = [b - a for a, b in pairwise(sorted(self.files))]
-        self.step = min([*steps, *([self.step] if self.step else [])], default=0)
+        # A listing has them in any order, and the last one before may be given already.
+        numbers = sorted({*self.files} if latest is None else {*self.files, latest[0]})
+        steps = [b - a for a, b in pairwise(numbers)]
+        self.step = min([self.step, *steps] if self.step else steps, default=0)
         return True
 
     def forget(self, number: int) -> None:
@@ -132,9 +133,6 @@ class _Folder:
             return
         self.files[n], self.written[n] = file, written
         self.newest = max(self.newest, written)
-        if self._latest is not None and n != self._latest[0]:
-            difference = abs(n - self._latest[0])
-            self.step = min(self.step or difference, difference)
         if self._latest is None or n > self._latest[0]:
             self._latest = (n, file.name)
 
