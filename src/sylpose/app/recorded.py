@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from sylpose.app.checkpoint import fingerprint
-from sylpose.app.record import SETTINGS, USED
+from sylpose.app.record import SETTINGS, USED, root_of
 from sylpose.capture import Session
 from sylpose.capture.session import reopen_session
 from sylpose.reading import Unreadable, parsed_toml, text_of, told
@@ -41,8 +41,8 @@ def recording_of(result: Path, moved: Path | None = None) -> Session:
         FileNotFoundError: it is not there, or the result does not say where it was.
         ValueError: it was of live cameras; it is no more what it was.
     """
-    run = next((folder for folder in (result, result.parent) if (folder / SETTINGS).is_file()), None)
-    if run is None:
+    run = root_of(result)
+    if not (run / SETTINGS).is_file():
         raise FileNotFoundError(f"{result}: no {SETTINGS}, which says where the recording is")
     settings = _settings(run / SETTINGS)
     if not settings.cameras:
