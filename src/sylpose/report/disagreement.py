@@ -132,9 +132,10 @@ def remarks(trajectory: Trajectory) -> list[str]:
     faults = Counter(fault for frame in trajectory for fault in frame.faults)
     said = [f"{fault} (in {n} frame{'' if n == 1 else 's'})" for fault, n in faults.most_common()]
     named = [d.text for d in disagreements(trajectory)]
-    # Where cameras contradict each other, what one of them shows of it says nothing about that one.
-    told = named or contradictions(trajectory)
-    return [*told, *(_noises(trajectory) if told == named else ()), *said]
+    if not named and (told := contradictions(trajectory)):
+        # What one of them shows of it says nothing about that one: noises are not told.
+        return [*told, *said]
+    return [*named, *_noises(trajectory), *said]
 
 
 def _doubted(doubt: FloatArray, camera: int) -> BoolArray:
