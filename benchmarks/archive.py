@@ -23,7 +23,7 @@ from sylpose.archive.processes import Processes
 from sylpose.archive.recordings import Options, Recording, find_recordings
 from sylpose.archive.run import run_all
 from sylpose.archive.stores import place
-from sylpose.archive.tracked import track_recording
+from sylpose.archive.worker import track_recording
 from sylpose.simulate import demo_scene, write_sequence
 
 CONTRACTS = 300

@@ -22,12 +22,12 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.slides import error, tracks
+from benchmarks.translation_only import error, tracks
 from sylpose import FrameSet, track
-from sylpose.adjustment.bundle import Observations, bundle
-from sylpose.adjustment.calibration import Doubt, corrected, usual_doubt
+from sylpose.bundle_adjustment.bundle import Observations, bundle
+from sylpose.bundle_adjustment.calibration_refinement import Doubt, corrected, usual_doubt
 from sylpose.frames import Box
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import arc, box, demo_scene, demo_truth, render_frames, ring
 from sylpose.smoothing.trajectory import Track, smooth

@@ -26,13 +26,13 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from benchmarks.paper_times import BODY, around, rotations_of, seconds
+from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.matrices import kron
 from sylpose.moments import PairMoments
-from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.matrices import kron
-from sylpose.paper import so3
-from sylpose.paper.orthographic import quadratics_of
 from sylpose.rig import Rig
 from sylpose.simulate import Body, arc, plane, random_motion, simulate_matches
+from sylpose.sylvester import so3
+from sylpose.sylvester.orthographic import quadratics_of
 
 Costs = tuple[FloatArray, FloatArray]
 # A relaxation's second eigenvalue over its first where it counts as of rank one (choice).

@@ -23,7 +23,7 @@ from benchmarks.live import error
 from benchmarks.loops import Turn, rendered
 from sylpose import FramePose, track, view_of_pose
 from sylpose.methods import MODES
-from sylpose.network.simulated import track_by_nodes
+from sylpose.network.simulation import track_by_nodes
 
 # Cameras that something hides, and from which frame on.
 HIDDEN, FROM = (0, 1), 4

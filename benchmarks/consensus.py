@@ -23,16 +23,19 @@ import numpy as np
 from benchmarks.depth_plane import recorded
 from benchmarks.sensors import CASES, scene
 from sylpose import open_session
+from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
-from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.bad_cameras import solve_robust
-from sylpose.paper.centralized import CentralizedSolution, solve_centralized
-from sylpose.paper.distributed import anderson, leaping
-from sylpose.paper.distributed import refine as consensus
-from sylpose.paper.distributed.messages import Inbox, Packet
-from sylpose.paper.distributed.nonsense import Nonsense
-from sylpose.paper.distributed.refine import RefineState, refine_start, refine_step
-from sylpose.paper.distributed.simulated import (
+from sylpose.results import Status
+from sylpose.rig import Rig
+from sylpose.simulate import arc, box, dome, ellipsoid, random_motion, ring, simulate_matches
+from sylpose.sylvester.camera_faults import solve_robust
+from sylpose.sylvester.centralized import CentralizedSolution, solve_centralized
+from sylpose.sylvester.distributed import anderson_acceleration, saddle_escape
+from sylpose.sylvester.distributed import refine as consensus
+from sylpose.sylvester.distributed.fault_injection import Nonsense
+from sylpose.sylvester.distributed.messages import Inbox, Packet
+from sylpose.sylvester.distributed.refine import RefineState, refine_start, refine_step
+from sylpose.sylvester.distributed.simulation import (
     UNDISTURBED,
     Agreement,
     Disturbances,
@@ -41,9 +44,6 @@ from sylpose.paper.distributed.simulated import (
     solve_gossip,
     solve_refine,
 )
-from sylpose.results import Status
-from sylpose.rig import Rig
-from sylpose.simulate import arc, box, dome, ellipsoid, random_motion, ring, simulate_matches
 
 Problem = tuple[FloatArray, list[PairMoments], CentralizedSolution]
 
@@ -140,16 +140,16 @@ def by_penalty(seeds: int) -> None:
     choices = [(0.05, 1.0), (0.1, 1.0), (0.2, 1.0), (0.05, 1.6), (0.1, 1.6), (0.2, 1.6)]
     print("| cameras | extrapolation, leaps | " + " | ".join(f"ρ {p}, {a}" for p, a in choices) + " |")
     print("|---|---|" + "---|" * len(choices))
-    defaults = consensus.PENALTY, consensus.RELAXATION, anderson.MEMORY, leaping.LEAPS
+    defaults = consensus.PENALTY, consensus.RELAXATION, anderson_acceleration.MEMORY, saddle_escape.LEAPS
     for name, make in RIGS.items():
         for memory in (0, defaults[2]):
             cells = []
             for penalty, relaxation in choices:
-                consensus.PENALTY, consensus.RELAXATION, anderson.MEMORY = penalty, relaxation, memory
-                leaping.LEAPS = defaults[3] if memory else 0
+                consensus.PENALTY, consensus.RELAXATION, anderson_acceleration.MEMORY = penalty, relaxation, memory
+                saddle_escape.LEAPS = defaults[3] if memory else 0
                 cells.append(spread([rounds_to(p) for p in problems(make(4), min(seeds, 2))]))
             print(f"| {name} | {'yes' if memory else 'no'} | " + " | ".join(cells) + " |")
-    consensus.PENALTY, consensus.RELAXATION, anderson.MEMORY, leaping.LEAPS = defaults
+    consensus.PENALTY, consensus.RELAXATION, anderson_acceleration.MEMORY, saddle_escape.LEAPS = defaults
 
 
 def by_loss(seeds: int) -> None:

@@ -23,14 +23,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose import estimate_motion, open_session
 from sylpose.capture import Session
 from sylpose.features.sift import Features, detect, match_features
+from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
-from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.centralized import solve_centralized
-from sylpose.paper.depth_plane import DepthPlaneSolution, solve_depth_plane
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import Body, arc, box, ellipsoid, plane, random_motion, ring, simulate_matches
+from sylpose.sylvester.centralized import solve_centralized
+from sylpose.sylvester.depth_plane import DepthPlaneSolution, solve_depth_plane
 from sylpose.tracking.region import polygon_mask, region_polygon, volume_from_boxes
 
 BODIES = {

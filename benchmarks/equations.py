@@ -20,8 +20,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy import linalg
 
-from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.equation import Method, SingularSylvesterError, solve_generalized_sylvester, solve_sylvester
+from sylpose.geometry.arrays import FloatArray
+from sylpose.sylvester.equation import Method, SingularSylvesterError, solve_generalized_sylvester, solve_sylvester
 
 Solve = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 

@@ -4,7 +4,8 @@
                                   [--xfeat WEIGHTS]
 
 The first frame's features, at their true places on the object, are the landmarks; the second frame's features are matched
-with them by their looks and the pose is found as after the object was lost (`tracking/relocalise.py`): within 3 degrees and
+with them by their looks and the pose is found as after the object was lost (`tracking/relocalization.py`): within 3
+degrees and
 a tenth of the object's radius it is found. *Guided* ones are matched where a prediction that is 2 degrees and a fiftieth of
 the radius wrong says that they should be. Prints, for each paint and turn: scenes in which the object was not found; true
 matches of all cameras (within 2 pixels; median and least); how many of all matches are true; the true ones' median error;
@@ -23,18 +24,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.kinds_fallback_search import plain_paint, steps
+from benchmarks.kinds_feature_poor import faded, softened
 from benchmarks.kinds_scenes import Take, any_body, rig_of, unit
 from benchmarks.kinds_solvable import on_surface
-from benchmarks.kinds_starving import faded, softened
-from benchmarks.kinds_thorough import plain_paint, steps
 from benchmarks.xfeat import XFeat, match_xfeat
+from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.features.sift import ALL_FEATURES, Features, detect, match_features, match_where_expected
-from sylpose.known_model.pose import estimate_pose
-from sylpose.numerics.arrays import FloatArray, Image, IntArray
+from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.results import Status
 from sylpose.rig import Camera
 from sylpose.simulate import TexturedBody
-from sylpose.tracking.relocalise import LOOSE_RATIO, MAX_ERROR_PX, MIN_INLIERS
+from sylpose.tracking.relocalization import LOOSE_RATIO, MAX_ERROR_PX, MIN_INLIERS
 
 # True within this, pixels.
 TRUE_PX = 2.0

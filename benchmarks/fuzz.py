@@ -36,24 +36,25 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.fuzz_calibrations import SAMPLES, Sample
 from sylpose import __version__, calibration
 from sylpose.app.checkpoint import CHECKPOINT, FORMAT, load_checkpoint
-from sylpose.app.encoding import encoded
+from sylpose.app.checkpoint_schema import FUNCTIONS, KINDS, OutputState, RunState
+from sylpose.app.frame_store import _FRAME, FrameFile
 from sylpose.app.pixel_files import load_pixels
 from sylpose.app.point_files import load_points
-from sylpose.app.state import FUNCTIONS, KINDS, OutputState, RunState
-from sylpose.app.tracks import _FRAME, FrameFile
+from sylpose.app.serialization import encoded
 from sylpose.archive.recordings import Options, find_recordings
 from sylpose.capture.boxes import load_boxes
 from sylpose.capture.images import image_size, read_image
 from sylpose.capture.live import open_live
 from sylpose.capture.timeline import load_timestamps
 from sylpose.frames import Box, FrameSet
+from sylpose.input_limits import SAID
 from sylpose.landmarks.alignment import Sights
-from sylpose.landmarks.told import Judges, Says
+from sylpose.landmarks.messages import Judges, Says
 from sylpose.moments import PairMoments
 from sylpose.network.codec import packed, unpacked
-from sylpose.network.roll import Roll
-from sylpose.network.sound import objection
-from sylpose.network.words import (
+from sylpose.network.frame_announcement import Roll
+from sylpose.network.plausibility import objection
+from sylpose.network.wire_format import (
     GIVES_UP,
     TELLS,
     Hello,
@@ -66,18 +67,17 @@ from sylpose.network.words import (
     said_hello,
     welcomed,
 )
-from sylpose.paper.distributed.messages import Message, decode, encode
-from sylpose.paper.distributed.verdict import plausible
-from sylpose.reading import SAID
+from sylpose.relative_pose.terms import TermData
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
 from sylpose.results import FramePose, FrameStatus
 from sylpose.rig import Rig
 from sylpose.simulate import ring
 from sylpose.smoothing.trajectory import Track
+from sylpose.sylvester.distributed.fault_decision import plausible
+from sylpose.sylvester.distributed.messages import Message, decode, encode
 from sylpose.sync.offsets import load_offsets
-from sylpose.tracking.records import Following, Known, Moved, Recognised, Seen
+from sylpose.tracking.reports import Following, Known, Moved, Recognised, Seen
 from sylpose.tracking.tracker import Tracker
-from sylpose.two_frames.terms import TermData
 
 ALLOWED = ("result", "sentence")
 SECONDS, MEGABYTES = 0.2, 100.0

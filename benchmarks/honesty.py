@@ -26,7 +26,7 @@ import numpy as np
 
 from benchmarks.honesty_kinds import MOTIONS, POSES, Problem, make_problem
 from sylpose import Motion, Status, estimate_motion, estimate_pose
-from sylpose.numerics.robust import chi_squared_bound
+from sylpose.geometry.robust_loss import chi_squared_bound
 
 __all__ = ["Outcome", "judge", "outcomes"]
 

@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
-from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import (
     Body,

@@ -10,7 +10,8 @@ five standard deviations of its own covariance. NEES: normalised squared error o
 covariance that is right. Frames *left* have no measured pose though they could have been solved
 (`benchmarks/kinds_solvable.py`); frames *off* have one that is more than 2 degrees off. Prints one line per kind, or per
 variation with --each, and the frames of each with --frames. The kinds are in `benchmarks/kinds_scenes.py`,
-`benchmarks/kinds_thorough.py` and `benchmarks/kinds_starving.py`; those of the group "large" are not among "all", which is
+`benchmarks/kinds_fallback_search.py` and `benchmarks/kinds_feature_poor.py`; those of the group "large" are not
+among "all", which is
 what runs without a name.
 """
 
@@ -25,14 +26,14 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from benchmarks.kinds_fallback_search import LARGE, THOROUGH
+from benchmarks.kinds_feature_poor import STARVING
 from benchmarks.kinds_scenes import GROUPS as SCENES
 from benchmarks.kinds_scenes import Kind, Take
 from benchmarks.kinds_solvable import unsolved_but_solvable
-from benchmarks.kinds_starving import STARVING
-from benchmarks.kinds_thorough import LARGE, THOROUGH
 from sylpose import FramePose, FrameStatus, track
 from sylpose.frames import FrameSet
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.smoothing.trajectory import Track, smooth
 
 GROUPS = {**SCENES, "thorough": THOROUGH, "starving": STARVING, "large": LARGE}

@@ -1,6 +1,6 @@
 """The kinds of scenes of `benchmarks/kinds.py`: what moves, what stands still, who hides whom, which lens, how fast, how
 little texture. Each makes a variation of itself from a random generator. Those of the group "thorough" are in
-`benchmarks/kinds_thorough.py`.
+`benchmarks/kinds_fallback_search.py`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import Box, FrameSet
-from sylpose.numerics.arrays import FloatArray, Image
+from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, Scene, TexturedBody, arc, chamfered_box, render_frames
 from sylpose.simulate.render import Path

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.kinds_scenes import Take
 from sylpose import FramePose, FrameSet
 from sylpose.features.sift import Features, detect, match_features
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera
 from sylpose.simulate import TexturedBody
 

@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.kinds import compared
 from benchmarks.kinds_scenes import Take, any_body, boxes_of, moving, rig_of
 from sylpose import FrameSet
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.results import FramePose
 from sylpose.simulate import Actor, Scene
 from sylpose.tracking.tracker import Tracker

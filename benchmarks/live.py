@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.kinds import KINDS
 from benchmarks.loops import Turn, rendered, turn_of
 from sylpose import FramePose, open_session, track
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.report.files import read_tum
 from sylpose.smoothing.trajectory import Track, smooth
 from sylpose.tracking.window import refined
@@ -81,7 +81,7 @@ def compared(scene: Turn, sets: int) -> Compared:
         return out
 
     start = time.perf_counter()
-    with patch("sylpose.tracking.learn.refined", timed):
+    with patch("sylpose.tracking.map_update.refined", timed):
         tracks = [Track.of(frame) for frame in track(scene.frames, scene.rig, scene.boxes)]
     seconds = time.perf_counter() - start
     measured = [k for k, t in enumerate(tracks) if t.pose.measured]

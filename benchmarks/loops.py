@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose import FrameSet, track
 from sylpose.app.demo import score
 from sylpose.frames import Box
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import demo_scene, demo_truth, render_frames
 

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.frames import FrameSet
-from sylpose.numerics.robust import chi_squared_bound
-from sylpose.report.disagreement import remarks
+from sylpose.geometry.robust_loss import chi_squared_bound
+from sylpose.report.camera_consistency import remarks
 from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import demo_scene, render_frames

@@ -36,11 +36,11 @@ import numpy as np
 
 from benchmarks import network_kills, network_latency, network_soak, network_tree
 from sylpose import calibration
-from sylpose.network.agreed import agree_next, agree_start, agree_step
-from sylpose.network.presence import Answer, Ask, Enter, Heard, Present, Tell
+from sylpose.network.membership import Answer, Ask, Enter, Heard, Present, Tell
+from sylpose.network.rounds import agree_next, agree_start, agree_step
 from sylpose.network.runner import Runner
-from sylpose.network.wire import Links, Place, Wire, watch_network
-from sylpose.network.words import TELLS, message
+from sylpose.network.wire_format import TELLS, message
+from sylpose.network.zenoh_transport import Links, Place, Wire, watch_network
 
 BYTES, ROUNDS = 241, 500
 

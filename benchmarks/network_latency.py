@@ -12,8 +12,8 @@ import numpy as np
 from benchmarks.node_processes import RATE, SIZE, looped_recording, processes
 from sylpose.capture import open_session
 from sylpose.methods import MODES
-from sylpose.network.simulated import track_by_nodes
-from sylpose.network.words import HEADER
+from sylpose.network.simulation import track_by_nodes
+from sylpose.network.wire_format import HEADER
 from sylpose.simulate import render_sequence
 
 __all__ = ["by_processes", "by_rounds", "table"]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.node_processes import RATE, looped_recording, processes, rss_mb
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.report.files import read_trajectory
 
 __all__ = ["HEAD", "growth", "soak"]

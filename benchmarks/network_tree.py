@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sylpose.network.words import HEADER
-from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.network.wire_format import HEADER
 
 __all__ = ["HEAD", "Carried", "everybody", "table", "tree"]
 

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 from sylpose.app.network_demo import node_command
 from sylpose.methods import MODES
-from sylpose.network.wire import LOOPBACK, Links, watch_network
+from sylpose.network.zenoh_transport import LOOPBACK, Links, watch_network
 from sylpose.simulate import demo_scene, render_frames
-from sylpose.simulate.files import session_folder, write_videos
+from sylpose.simulate.recording_files import session_folder, write_videos
 
 __all__ = ["RATE", "Line", "Processes", "as_installed", "looped_recording", "processes", "rss_mb"]
 

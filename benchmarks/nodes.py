@@ -22,11 +22,11 @@ import numpy as np
 
 from benchmarks.live import error, scene_of
 from benchmarks.loops import Turn
+from sylpose.geometry.arrays import FloatArray
 from sylpose.methods import MODES
-from sylpose.network.simulated import Outcome, track_by_nodes
-from sylpose.network.words import HEADER
-from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.distributed.simulated import Disturbances
+from sylpose.network.simulation import Outcome, track_by_nodes
+from sylpose.network.wire_format import HEADER
+from sylpose.sylvester.distributed.simulation import Disturbances
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
 

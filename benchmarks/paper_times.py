@@ -21,11 +21,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
-from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.centralized import solve_centralized, solve_centralized_batch
 from sylpose.rig import Rig
 from sylpose.simulate import arc, dome, ellipsoid, random_motion, simulate_matches
+from sylpose.sylvester.centralized import solve_centralized, solve_centralized_batch
 
 BODY = ellipsoid((0.15, 0.12, 0.1))
 COUNTS = (1, 2, 4, 10, 30, 100, 300, 1000, 3000, 10_000)
@@ -35,7 +35,7 @@ FIRST_CALL = """
 import time
 start = time.process_time()
 import numpy as np
-from sylpose.paper.centralized import solve_centralized_batch
+from sylpose.sylvester.centralized import solve_centralized_batch
 loaded = time.process_time()
 k = np.random.default_rng(0).normal(size=(2, 3, 20, 9))
 solve_centralized_batch(np.stack([np.eye(3)] * 3), np.swapaxes(k, 2, 3) @ k)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig
 
 __all__ = ["colmap_pose", "pinhole_of", "poselib_matches", "poselib_pose", "poselib_rig"]

@@ -27,7 +27,7 @@ import numpy as np
 
 from sylpose import FrameSet
 from sylpose.frames import Box
-from sylpose.numerics.arrays import FloatArray, Image
+from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.simulate import demo_scene, demo_truth, render_frames
 from sylpose.tracking.tracker import Tracker
 

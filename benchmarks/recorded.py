@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.live import difference, scene_of
 from sylpose import track
-from sylpose.adjustment.calibration import usual_doubt
+from sylpose.bundle_adjustment.calibration_refinement import usual_doubt
 from sylpose.smoothing.trajectory import Track, smooth
 
 

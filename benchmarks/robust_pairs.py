@@ -29,7 +29,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import Matches, Motion, Rig, Status, estimate_motion
-from sylpose.numerics.matrices import forget
+from sylpose.geometry.matrices import forget
 from sylpose.simulate import (
     Body,
     SimulatedPair,

@@ -23,10 +23,9 @@ from typing import NamedTuple, get_args
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
-from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.bad_cameras import FaultKind, solve_robust
-from sylpose.paper.centralized import solve_centralized
+from sylpose.relative_pose.motion import estimate_motion
 from sylpose.rig import Rig
 from sylpose.simulate import (
     OutlierKind,
@@ -41,7 +40,8 @@ from sylpose.simulate import (
     simulate_matches,
 )
 from sylpose.simulate.bodies import Body
-from sylpose.two_frames.motion import estimate_motion
+from sylpose.sylvester.camera_faults import FaultKind, solve_robust
+from sylpose.sylvester.centralized import solve_centralized
 
 
 class Case(NamedTuple):

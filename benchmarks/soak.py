@@ -25,12 +25,12 @@ import numpy as np
 from benchmarks.network_soak import growth, processor_seconds
 from benchmarks.node_processes import rss_mb
 from benchmarks.tracking_scenes import rig_of, two
-from sylpose.numerics.arrays import Image
+from sylpose.geometry.arrays import Image
 from sylpose.report.files import read_trajectory
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Scene, render_frames
 from sylpose.simulate.demo import demo_truth
-from sylpose.simulate.files import session_folder, write_boxes
+from sylpose.simulate.recording_files import session_folder, write_boxes
 
 __all__ = ["main"]
 

@@ -25,11 +25,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.app.compiling import compile_all
+from sylpose.app.precompile import compile_all
 from sylpose.app.sync import Known, sync_session
 from sylpose.capture import open_session
 from sylpose.frames import FrameSet
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.simulate import Recording, demo_scene, write_recording
 
 RATE = 30.0

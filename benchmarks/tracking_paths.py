@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 
 __all__ = ["Path", "away", "bump", "crossing", "loop", "smooth_step", "swings", "tumble", "window"]
 

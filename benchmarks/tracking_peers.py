@@ -27,7 +27,7 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.peers import colmap_pose, pinhole_of, poselib_matches, poselib_pose, poselib_rig
 from sylpose.capture import Session, open_session
 from sylpose.features.sift import Features, detect, match_features
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.report.files import read_tum, write_tum
 from sylpose.rig import Camera
 

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.report.files import read_trajectory, read_tum
 
 __all__ = ["HEADER", "Row", "errors", "line", "load", "must_hold", "save", "score", "worse_than"]

@@ -23,7 +23,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.tracking_paths import Path as Motion
 from benchmarks.tracking_paths import away, bump, crossing, loop, swings, tumble, window
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, Recording, Scene, TexturedBody, arc, chamfered_box, write_recording
 

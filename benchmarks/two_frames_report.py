@@ -13,7 +13,7 @@ from rich import box
 from rich.table import Table
 
 from benchmarks.two_frames_scenes import ROWS, Row
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 
 __all__ = [
     "Figures",

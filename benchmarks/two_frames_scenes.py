@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import Body, OutlierKind, arc, box, cloud, dome, ellipsoid, random_motion, ring, simulate_matches
 

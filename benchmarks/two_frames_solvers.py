@@ -144,9 +144,9 @@ def load_sylpose() -> Prepare:
     """Ours, with its defaults."""
     import cv2
 
-    from sylpose.known_model.pose import estimate_pose
+    from sylpose.absolute_pose.pose import estimate_pose
     from sylpose.matches import Matches
-    from sylpose.two_frames.motion import estimate_motion
+    from sylpose.relative_pose.motion import estimate_motion
 
     cv2.setNumThreads(1)
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sylpose.features.sift import Features
-from sylpose.numerics.arrays import FloatArray, Image, IntArray
+from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.rig import Camera
 
 __all__ = ["XFeat", "match_xfeat"]

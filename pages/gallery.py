@@ -24,14 +24,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose import calibration
 from sylpose.app.run import track_session
 from sylpose.capture import open_session
-from sylpose.numerics.arrays import FloatArray
-from sylpose.report.disagreement import remarks
+from sylpose.geometry.arrays import FloatArray
+from sylpose.report.camera_consistency import remarks
 from sylpose.report.files import read_tum
 from sylpose.report.plots import INK, JUMP_DEG, X_COLOR, Y_COLOR, Z_COLOR, finish, new_figure
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, demo_scene, write_recording
-from sylpose.simulate.files import suffixes
+from sylpose.simulate.recording_files import suffixes
 
 __all__ = ["SCENES", "Shown", "page", "results"]
 

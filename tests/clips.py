@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.frames import Box, FrameSet
-from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, DemoTruth, Scene, TexturedBody, demo_scene, demo_truth, render_frames

@@ -16,16 +16,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sylpose import estimate_motion
-from sylpose.app.compiling import PARTS
-from sylpose.known_model.pose import estimate_pose
+from sylpose.absolute_pose.pose import estimate_pose
+from sylpose.app.precompile import PARTS
+from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
-from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.centralized import solve_centralized
-from sylpose.paper.depth_plane import solve_depth_plane
+from sylpose.relative_pose.precompile import warm_up
 from sylpose.rig import Camera
 from sylpose.simulate import ring
-from sylpose.two_frames.warming import warm_up
+from sylpose.sylvester.centralized import solve_centralized
+from sylpose.sylvester.depth_plane import solve_depth_plane
 
 RIG = ring(3, height=(0.4, -0.1, 0.2))
 POINTS = np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3))
@@ -47,7 +47,7 @@ def paper() -> None:
     solve_depth_plane(rotations, moments)
 
 
-def known_model() -> None:
+def absolute_pose() -> None:
     estimate_pose(RIG, [POINTS] * len(RIG), [camera.project(TURN.apply(POINTS)) for camera in RIG])
 
 
@@ -67,7 +67,7 @@ def timed(part: Callable[[], None]) -> str:
 
 def main() -> None:
     # The longest first; the last ones are made of what those before have compiled.
-    parts, wholes = [*(part for _, part in PARTS.values()), paper, known_model], [warm_up, two_bodies]
+    parts, wholes = [*(part for _, part in PARTS.values()), paper, absolute_pose], [warm_up, two_bodies]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         done = [*pool.map(timed, parts)]
     print("compiled:", ", ".join([*done, *map(timed, wholes)]), file=sys.stderr)

@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
-from sylpose.numerics.arrays import FloatArray
+from sylpose.relative_pose.motion import estimate_motion
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig, camera_at
 from sylpose.simulate import Body, SimulatedPair, arc, ellipsoid, plane, random_motion, ring, simulate_matches
-from sylpose.two_frames.motion import estimate_motion
 from tests.scenes import around
 
 OK, SCALE, TURN = Status.OK, Status.SCALE_NOT_OBSERVABLE, Status.TURN_NOT_OBSERVABLE

@@ -17,7 +17,7 @@ from pathlib import Path
 from zipfile import ZipFile
 
 from sylpose import __version__
-from tests.where import REPOSITORY
+from tests.paths import REPOSITORY
 
 PACKAGE = REPOSITORY / "src" / "sylpose"
 # Beside the package: what says of the project what it is, and may be done with it.

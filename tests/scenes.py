@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
-from sylpose.numerics.arrays import FloatArray
+from sylpose.relative_pose.moments_cost import Sums
+from sylpose.relative_pose.terms import Candidate, Stack, TermData
 from sylpose.results import Motion
 from sylpose.rig import Rig
 from sylpose.simulate import SimulatedPair, ellipsoid, ring
-from sylpose.two_frames.moments_cost import Sums
-from sylpose.two_frames.terms import Candidate, Stack, TermData
 
 BODY = ellipsoid((0.15, 0.12, 0.1))
 

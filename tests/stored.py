@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from sylpose.app.encoding import decoded, encoded
-from sylpose.app.state import FUNCTIONS, KINDS
+from sylpose.app.checkpoint_schema import FUNCTIONS, KINDS
+from sylpose.app.serialization import decoded, encoded
 from sylpose.tracking.tracker import Memory, Tracker
 
 __all__ = ["go_on", "stored"]

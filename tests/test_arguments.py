@@ -20,10 +20,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import sylpose
 from sylpose import results, rig, simulate, view
-from sylpose.adjustment.calibration import Moved, usual_doubt
-from sylpose.paper import bad_cameras, displacement, one_camera
+from sylpose.bundle_adjustment.calibration_refinement import Moved, usual_doubt
 from sylpose.results import FramePose, FrameStatus, RotationEstimate, Status
 from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.sylvester import camera_faults, one_camera, translation
 from sylpose.units import FIRST_DISTANCES
 from tests.mutations import copied, mutations, same
 
@@ -31,10 +31,10 @@ from tests.mutations import copied, mutations, same
 MOST, SEED = 60, 0
 # Besides `sylpose.__all__`.
 MORE: tuple[Any, ...] = (
-    bad_cameras.diagnose,
-    bad_cameras.suspect_cameras,
-    displacement.translation_from_means,
-    displacement.translation_from_moments,
+    camera_faults.diagnose,
+    camera_faults.suspect_cameras,
+    translation.translation_from_means,
+    translation.translation_from_moments,
     one_camera.solve_unconstrained,
     results.pan_tilt_roll,
     rig.camera_at,
@@ -155,9 +155,9 @@ def calls() -> dict[str, Call]:
             nan=True,
         ),
         "solve_robust": Call(sylpose.solve_robust, {**of_rig, "names": ["a", "b", "c"]}),
-        "diagnose": Call(bad_cameras.diagnose, {**of_rig, "names": ["a", "b", "c"]}),
+        "diagnose": Call(camera_faults.diagnose, {**of_rig, "names": ["a", "b", "c"]}),
         "suspect_cameras": Call(
-            bad_cameras.suspect_cameras, {**of_rig, "rotation": R, "at_fault": [1], "names": ["a", "b", "c"]}
+            camera_faults.suspect_cameras, {**of_rig, "rotation": R, "at_fault": [1], "names": ["a", "b", "c"]}
         ),
         "solve_depth_plane": Call(sylpose.solve_depth_plane, {**of_rig, "noise": np.full(3, 1e-3)}, 50),
         "solve_exchange": Call(
@@ -211,12 +211,12 @@ def calls() -> dict[str, Call]:
             said=r"A_k X B_k = C|do not broadcast|the solution",
         ),
         "translation_from_means": Call(
-            displacement.translation_from_means,
+            translation.translation_from_means,
             {"rotations": Q, "centers": o, "moments": moments, "rotation": R, "center": center, "off": 0.0},
             said="no camera has matches|the object's centre",
         ),
         "translation_from_moments": Call(
-            displacement.translation_from_moments,
+            translation.translation_from_moments,
             {
                 "rotations": Q,
                 "centers": o,

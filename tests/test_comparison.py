@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.app.compare import may_differ
 from sylpose.cli import main, results
 from sylpose.comparison import Alignment, compared, pairs_in_time, statistics
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.report.files import write_tum
 
 N = 30

@@ -10,7 +10,16 @@ import pytest
 
 SOURCE = Path(__file__).parents[1] / "src" / "sylpose"
 # Rooms in which it holds.
-ROOMS = ("numerics", "two_frames", "known_model", "adjustment", "smoothing", "paper", "landmarks", "tracking")
+ROOMS = (
+    "geometry",
+    "relative_pose",
+    "absolute_pose",
+    "bundle_adjustment",
+    "smoothing",
+    "sylvester",
+    "landmarks",
+    "tracking",
+)
 ORIGIN = re.compile(r"\((derived|chi-squared|measured|choice)\b")
 
 

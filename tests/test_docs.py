@@ -23,7 +23,7 @@ import sylpose
 from sylpose.cli import app, main
 from sylpose.results import Status
 from sylpose.simulate import dome, ellipsoid, random_motion, simulate_matches
-from tests.where import REPOSITORY
+from tests.paths import REPOSITORY
 
 PACKAGE = REPOSITORY / "src" / "sylpose"
 PAGES = [*REPOSITORY.glob("*.md"), *(REPOSITORY / "docs").glob("*.md")]
@@ -108,7 +108,7 @@ def defined_in(path: Path) -> set[str]:
 
 @pytest.mark.parametrize("page", NAMES)
 def test_modules_that_are_named_exist(page: str) -> None:
-    """`rig.py`, `paper/equation.py`, `benchmarks/nees.py`; and `file.py` (`name`, `other`) has these names."""
+    """`rig.py`, `sylvester/equation.py`, `benchmarks/nees.py`; and `file.py` (`name`, `other`) has these names."""
     for name in re.findall(r"`([\w./]+\.(?:py|json|toml|md|cff))`", prose_of(page)):
         if name.endswith(".py") and not name.startswith("../") and not name.startswith("NAME") and "/NAME" not in name:
             assert file_of(name), name
@@ -120,7 +120,7 @@ def test_modules_that_are_named_exist(page: str) -> None:
 
 
 def test_constants_that_are_named_have_these_values() -> None:
-    """`INDEPENDENT = 6` of `two_frames/reweight.py`; those of docs/map.md's table: tests/test_map.py."""
+    """`INDEPENDENT = 6` of `relative_pose/irls.py`; those of docs/map.md's table: tests/test_map.py."""
     said = 0
     for page in NAMES:
         for name, value, file in re.findall(r"`([A-Z_]+) = ([\d.e-]+)`\s+of\s+`([\w/]+)\.py`", prose_of(page)):
@@ -132,7 +132,7 @@ def test_constants_that_are_named_have_these_values() -> None:
 
 @pytest.mark.parametrize("page", NAMES)
 def test_python_names_that_are_named_exist(page: str) -> None:
-    """`sylpose.simulate`, `sylpose.paper.equation.solve_sylvester`."""
+    """`sylpose.simulate`, `sylpose.sylvester.equation.solve_sylvester`."""
     if page == "CHANGELOG.md":  # speaks of what was, too
         return
     for dotted in re.findall(r"`(sylpose(?:\.\w+)+)`", prose_of(page)):

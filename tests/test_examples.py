@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import FRAMES
-from tests.where import REPOSITORY
+from tests.paths import REPOSITORY
 
 EXAMPLES = REPOSITORY / "examples"
 

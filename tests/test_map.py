@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import sylpose
-from tests.where import REPOSITORY
+from tests.paths import REPOSITORY
 
 PACKAGE = REPOSITORY / "src" / "sylpose"
 MAP = (REPOSITORY / "docs" / "map.md").read_text(encoding="utf-8")

@@ -11,13 +11,13 @@ import pytest
 import sylpose
 from sylpose.cli import main
 from sylpose.methods import FEATURES, METHODS, MOTION_METHODS, PAPER_METHODS, TABLE, Method, features_of, summary
+from sylpose.relative_pose import motion
+from sylpose.relative_pose.sylvester_methods import ESTIMATORS
 from sylpose.results import FrameStatus
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.tracker import Tracker
-from sylpose.two_frames import motion
-from sylpose.two_frames.paper_methods import ESTIMATORS
 from tests.conftest import FRAMES
-from tests.where import REPOSITORY
+from tests.paths import REPOSITORY
 
 
 def test_the_code_has_the_methods_of_the_table() -> None:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
-from sylpose.numerics.arrays import FloatArray
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
 

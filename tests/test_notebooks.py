@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pages.notebooks import NOTEBOOKS, as_markdown, read, run, source_of
-from tests.where import REPOSITORY
+from tests.paths import REPOSITORY
 
 # Bytes that a notebook with its pictures may have.
 MOST = 250_000

@@ -11,7 +11,7 @@ import pytest
 
 import sylpose
 from pages import api, build, gallery
-from tests.where import REPOSITORY
+from tests.paths import REPOSITORY
 
 # Bytes that a picture of the gallery may have.
 MOST = 150_000

@@ -11,10 +11,10 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.capture import open_session
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.results import FramePose, FrameStatus
 from sylpose.tracking.tracker import track
-from tests.where import DATA
+from tests.paths import DATA
 
 
 def recording(name: str) -> Path:

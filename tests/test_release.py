@@ -12,7 +12,7 @@ import yaml
 
 from sylpose import __version__
 from tests import installed
-from tests.where import REPOSITORY
+from tests.paths import REPOSITORY
 
 PYPROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
 WORKFLOW = yaml.safe_load((REPOSITORY / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
@@ -44,7 +44,7 @@ def test_a_whole_wheel_is_right(tmp_path: Path) -> None:
     [
         ({"sylpose/py.typed"}, "a.whl lacks sylpose/py.typed"),
         ({f"{INFO}licenses/LICENSE"}, "a.whl lacks LICENSE"),
-        ({"tests/where.py"}, "a.whl has tests/where.py, which is no part of the package"),
+        ({"tests/paths.py"}, "a.whl has tests/paths.py, which is no part of the package"),
         ({"sylpose/__pycache__/rig.pyc"}, "a.whl has sylpose/__pycache__/rig.pyc, which is no part of the package"),
     ],
 )

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import GRID_PX, Camera, LensModel, Rig, nearest_point_to_rays
 
 MATRIX = np.array([[800.0, 0, 330], [0, 790, 235], [0, 0, 1]])

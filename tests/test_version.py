@@ -13,7 +13,7 @@ import pytest
 
 import sylpose
 from sylpose.cli import main
-from tests.where import REPOSITORY
+from tests.paths import REPOSITORY
 
 
 def text(name: str) -> str:

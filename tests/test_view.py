@@ -11,15 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.matrices import covariance_of
 from sylpose.moments import PairMoments
-from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.matrices import covariance_of
-from sylpose.paper.depth_plane import solve_depth_plane
+from sylpose.relative_pose.motion import estimate_motion
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
 from sylpose.results import FramePose, FrameStatus, Motion, RotationEstimate, Status, Trajectory
 from sylpose.rig import camera_at
 from sylpose.simulate import ellipsoid, random_motion, ring, simulate_matches
-from sylpose.two_frames.motion import estimate_motion
+from sylpose.sylvester.depth_plane import solve_depth_plane
 from sylpose.view import camera_from_world_of, trajectory_view, view_of_motion, view_of_pose, view_of_rotation
 
 seeds = st.integers(0, 2**32 - 1)

@@ -7,9 +7,9 @@
         print(frame.pose.time, frame.pose.status.text, frame.pose.world_from_object)
 
 The files at the root are the nouns: a rig of cameras, the frames they saw, matches, their moments, results. Each folder is
-one thing that can be done with them. `paper` is Chen and Schonfeld: a rotation from orthographic second moments by
-Sylvester's equation, by one camera, by all, or `distributed` among them. `two_frames` is the same question in perspective,
-with six unknowns and outliers. `known_model` asks where an object of known points is. `features` finds and follows points.
+one thing that can be done with them. `sylvester` is Chen and Schonfeld: a rotation from orthographic second moments by
+Sylvester's equation, by one camera, by all, or `distributed` among them. `relative_pose` is the same in perspective,
+with six unknowns and outliers. `absolute_pose` asks where an object of known points is. `features` finds and follows points.
 `landmarks` knows where they are on the object, better from frame to frame. `tracking` puts these together frame by frame,
 `smoothing` does all frames at once, afterwards. None of these reads or writes a file: `calibration`, `capture`, `report` do.
 `simulate` makes scenes with known truth, `experiments` repeats the paper's, `app` and `cli` are the commands. docs/map.md
@@ -22,30 +22,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sylpose.absolute_pose.pose import estimate_pose
     from sylpose.app.object_files import load_object, save_object
     from sylpose.app.run import Run, track_session
-    from sylpose.boards.location import Sighting, find_board
+    from sylpose.boards.board_pose import Sighting, find_board
     from sylpose.boards.specification import Board, parse_board
     from sylpose.calibration.world import World, load_world, world_with_up
     from sylpose.capture import Session, Source, Timeline, open_session
     from sylpose.capture.live import LiveSession, open_live
     from sylpose.capture.streams import Device, Grab
     from sylpose.frames import Box, FrameSet
-    from sylpose.known_model.pose import estimate_pose
     from sylpose.matches import Matches
     from sylpose.moments import PairMoments
-    from sylpose.paper.bad_cameras import Diagnosis, Fault, RobustSolution, solve_robust
-    from sylpose.paper.centralized import (
-        CentralizedBatch,
-        CentralizedSolution,
-        solve_centralized,
-        solve_centralized_batch,
-    )
-    from sylpose.paper.depth_plane import DepthPlaneSolution, solve_depth_plane
-    from sylpose.paper.distributed.simulated import Agreement, Disturbances, solve_exchange, solve_gossip, solve_refine
-    from sylpose.paper.equation import SingularSylvesterError, solve_generalized_sylvester, solve_sylvester
-    from sylpose.paper.known_depth import KnownDepthSolution, solve_2d3d, solve_3d3d
-    from sylpose.paper.one_camera import OneCameraSolution, solve_one_camera
+    from sylpose.relative_pose.motion import estimate_motion, estimate_motions
     from sylpose.results import (
         FramePose,
         FrameStatus,
@@ -56,12 +45,29 @@ if TYPE_CHECKING:
         Trajectory,
     )
     from sylpose.rig import Camera, Rig
+    from sylpose.sylvester.camera_faults import Diagnosis, Fault, RobustSolution, solve_robust
+    from sylpose.sylvester.centralized import (
+        CentralizedBatch,
+        CentralizedSolution,
+        solve_centralized,
+        solve_centralized_batch,
+    )
+    from sylpose.sylvester.depth_plane import DepthPlaneSolution, solve_depth_plane
+    from sylpose.sylvester.distributed.simulation import (
+        Agreement,
+        Disturbances,
+        solve_exchange,
+        solve_gossip,
+        solve_refine,
+    )
+    from sylpose.sylvester.equation import SingularSylvesterError, solve_generalized_sylvester, solve_sylvester
+    from sylpose.sylvester.known_depth import KnownDepthSolution, solve_2d3d, solve_3d3d
+    from sylpose.sylvester.one_camera import OneCameraSolution, solve_one_camera
     from sylpose.tracking.frame import Sought
-    from sylpose.tracking.joint import Nudge
+    from sylpose.tracking.joint_state import Nudge
     from sylpose.tracking.known_object import KnownObject, ObjectFrame
     from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
     from sylpose.tracking.tracker import track
-    from sylpose.two_frames.motion import estimate_motion, estimate_motions
     from sylpose.view import MotionView, RotationView, trajectory_view, view_of_motion, view_of_pose, view_of_rotation
 
 __version__ = "0.2.0"
@@ -143,42 +149,42 @@ __all__ = [
 _HOMES = {
     "sylpose.app.object_files": ("load_object", "save_object"),
     "sylpose.app.run": ("Run", "track_session"),
-    "sylpose.boards.location": ("Sighting", "find_board"),
+    "sylpose.boards.board_pose": ("Sighting", "find_board"),
     "sylpose.boards.specification": ("Board", "parse_board"),
     "sylpose.calibration.world": ("World", "load_world", "world_with_up"),
     "sylpose.capture": ("Session", "Source", "Timeline", "open_session"),
     "sylpose.capture.live": ("LiveSession", "open_live"),
     "sylpose.capture.streams": ("Device", "Grab"),
     "sylpose.frames": ("Box", "FrameSet"),
-    "sylpose.known_model.pose": ("estimate_pose",),
+    "sylpose.absolute_pose.pose": ("estimate_pose",),
     "sylpose.matches": ("Matches",),
     "sylpose.moments": ("PairMoments",),
-    "sylpose.paper.bad_cameras": ("Diagnosis", "Fault", "RobustSolution", "solve_robust"),
-    "sylpose.paper.centralized": (
+    "sylpose.sylvester.camera_faults": ("Diagnosis", "Fault", "RobustSolution", "solve_robust"),
+    "sylpose.sylvester.centralized": (
         "CentralizedBatch",
         "CentralizedSolution",
         "solve_centralized",
         "solve_centralized_batch",
     ),
-    "sylpose.paper.depth_plane": ("DepthPlaneSolution", "solve_depth_plane"),
-    "sylpose.paper.distributed.simulated": (
+    "sylpose.sylvester.depth_plane": ("DepthPlaneSolution", "solve_depth_plane"),
+    "sylpose.sylvester.distributed.simulation": (
         "Agreement",
         "Disturbances",
         "solve_exchange",
         "solve_gossip",
         "solve_refine",
     ),
-    "sylpose.paper.equation": ("SingularSylvesterError", "solve_generalized_sylvester", "solve_sylvester"),
-    "sylpose.paper.known_depth": ("KnownDepthSolution", "solve_2d3d", "solve_3d3d"),
-    "sylpose.paper.one_camera": ("OneCameraSolution", "solve_one_camera"),
+    "sylpose.sylvester.equation": ("SingularSylvesterError", "solve_generalized_sylvester", "solve_sylvester"),
+    "sylpose.sylvester.known_depth": ("KnownDepthSolution", "solve_2d3d", "solve_3d3d"),
+    "sylpose.sylvester.one_camera": ("OneCameraSolution", "solve_one_camera"),
     "sylpose.results": ("FramePose", "FrameStatus", "Motion", "Observable", "RotationEstimate", "Status", "Trajectory"),
     "sylpose.rig": ("Camera", "Rig"),
-    "sylpose.tracking.joint": ("Nudge",),
+    "sylpose.tracking.joint_state": ("Nudge",),
     "sylpose.tracking.known_object": ("KnownObject", "ObjectFrame"),
     "sylpose.tracking.frame": ("Sought",),
     "sylpose.tracking.tracked_frame": ("Sightings", "TrackedFrame"),
     "sylpose.tracking.tracker": ("track",),
-    "sylpose.two_frames.motion": ("estimate_motion", "estimate_motions"),
+    "sylpose.relative_pose.motion": ("estimate_motion", "estimate_motions"),
     "sylpose.view": (
         "MotionView",
         "RotationView",

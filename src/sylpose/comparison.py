@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.geometry.arrays import FloatArray, IntArray
 
 __all__ = ["Alignment", "Comparison", "compared", "pairs_in_time", "statistics"]
 

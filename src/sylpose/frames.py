@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sylpose.numerics.arrays import BoolArray, Image
-from sylpose.numerics.checked import kind_of, number, shown
+from sylpose.geometry.arrays import BoolArray, Image
+from sylpose.geometry.validation import kind_of, number, shown
 from sylpose.rig import Camera
 
 __all__ = ["Box", "FrameSet", "check_frames"]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.checked import finite_rows, kind_of
+from sylpose.display import Telling, Told
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.validation import finite_rows, kind_of
 from sylpose.rig import Camera
-from sylpose.told import Telling, Told
 
 __all__ = ["STILL_PX", "Matches"]
 

@@ -51,7 +51,7 @@ def _paper(name: str, needs: str, gives: str, function: str) -> Method:
 
 # In each, the first is the default.
 FEATURES = ("auto", "sift", "klt")
-# How cameras that are nodes come to a frame's pose (`landmarks.one_of_many`).
+# How cameras that are nodes come to a frame's pose (`landmarks.distributed_alignment`).
 MODES = ("exact", "economical")
 TABLE = (
     Method(
@@ -70,49 +70,49 @@ TABLE = (
         ("sift", "klt"),
         True,
         False,
-        "two_frames.solver.fit_terms",
+        "relative_pose.solver.fit_terms",
     ),
     _paper(
         "sylvester",
         "second moments of the matches, orthographic",
         "the paper's centralised rotation; small turns",
-        "paper.centralized.solve_centralized",
+        "sylvester.centralized.solve_centralized",
     ),
     _paper(
         "depth-plane",
         "the same, and a plane for the depth each camera sees",
         "little bandwidth; flat and faceted objects",
-        "paper.depth_plane.solve_depth_plane",
+        "sylvester.depth_plane.solve_depth_plane",
     ),
     _paper(
         "exchange",
         "as sylvester, moments sent to all cameras",
         "the answer of sylvester, in one round",
-        "paper.distributed.simulated.solve_exchange",
+        "sylvester.distributed.simulation.solve_exchange",
     ),
     _paper(
         "refine",
         "as sylvester, rotations alone sent to all cameras",
         "the answer of sylvester: the paper's refinement",
-        "paper.distributed.simulated.solve_refine",
+        "sylvester.distributed.simulation.solve_refine",
     ),
     _paper(
         "gossip",
         "as sylvester, moments sent to neighbours only",
         "the answer of sylvester, without all-to-all links",
-        "paper.distributed.simulated.solve_gossip",
+        "sylvester.distributed.simulation.solve_gossip",
     ),
     _paper(
         "one-camera",
         "second moments of one camera, with the constraint",
         "the paper's single camera, to compare",
-        "paper.one_camera.solve_one_camera",
+        "sylvester.one_camera.solve_one_camera",
     ),
     _paper(
         "unconstrained",
         "second moments of one camera, adjusted afterwards",
         "what the constraint is better than, to compare",
-        "paper.one_camera.solve_unconstrained",
+        "sylvester.one_camera.solve_unconstrained",
     ),
     Method(
         "known-depth",
@@ -121,7 +121,7 @@ TABLE = (
         ("sift", "klt"),
         False,
         False,
-        "paper.known_depth.solve_2d3d",
+        "sylvester.known_depth.solve_2d3d",
     ),
 )
 

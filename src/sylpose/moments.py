@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.checked import finite, finite_rows, kind_of, number
-from sylpose.numerics.matrices import symmetric_of, upper_of
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.matrices import symmetric_of, upper_of
+from sylpose.geometry.validation import finite, finite_rows, kind_of, number
 
 __all__ = ["LEAST_COUNT", "MOST_MOMENT", "PairMoments"]
 

@@ -11,12 +11,12 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
-from sylpose.numerics.checked import kind_of, listed
-from sylpose.numerics.matrices import carried, covariance_of
+from sylpose.display import Telling, Told, inliers_told, length, lengths, named, place_told, spread, turned, vector
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.matrices import carried, covariance_of
+from sylpose.geometry.validation import kind_of, listed
 from sylpose.rig import single_pose
-from sylpose.statuses import FrameStatus, Observable, Status
-from sylpose.told import Telling, Told, inliers_told, length, lengths, named, place_told, spread, turned, vector
+from sylpose.status import FrameStatus, Observable, Status
 
 __all__ = [
     "UNCERTAIN_TURN",
@@ -122,7 +122,8 @@ class RotationEstimate(Told):
         rotation: (3, 3) R, X_j = R X_i + t in the world frame: the best guess where a part of the turn is not observable,
             NaN without any.
         information: (3, 3) of w, R = exp(w) R̂, world axes, 1/rad². It shows the directions that cannot be observed. Of
-            estimators that ignore depth it counts what surfaces may have done (`paper.surfaces`). Zero without an answer.
+            estimators that ignore depth it counts what surfaces may have done (`sylvester.depth_bias`). Zero without
+            an answer.
         unseen: (k, 3) unit directions of w that are not seen (docs/conventions.md, "Limits").
         iterations: of the solver; rounds, of those that exchange messages.
     """

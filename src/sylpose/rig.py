@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.checked import finite, finite_rows, items, kind_of, listed, number, real, rows, shown, whole
-from sylpose.numerics.lens import TERMS, projected
-from sylpose.reading import one_line
-from sylpose.told import Telling, Told, named, place_told, vector
+from sylpose.display import Telling, Told, named, place_told, vector
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.lens_distortion import TERMS, projected
+from sylpose.geometry.validation import finite, finite_rows, items, kind_of, listed, number, real, rows, shown, whole
+from sylpose.input_limits import one_line
 from sylpose.units import METRES
 
 __all__ = ["Camera", "Rig", "nearest_point_to_rays"]
@@ -137,7 +137,7 @@ class Camera(Told):
 
     @cached_property
     def _terms(self) -> FloatArray | None:
-        """(12,) coefficients as `numerics.lens` takes them; None for lenses that OpenCV alone knows."""
+        """(12,) coefficients as `geometry.lens_distortion` takes them; None for lenses that OpenCV alone knows."""
         if self.lens == "fisheye" or self.distortion[TERMS:].any():
             return None
         return _read_only(np.pad(self.distortion[:TERMS], (0, max(TERMS - len(self.distortion), 0))))

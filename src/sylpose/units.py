@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from sylpose.reading import one_line
+from sylpose.input_limits import one_line
 
 __all__ = ["FIRST_DISTANCES", "METRES", "NoUnit", "length_of", "measured"]
 

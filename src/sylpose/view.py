@@ -19,13 +19,13 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.checked import finite, kind_of, real, shown
-from sylpose.numerics.matrices import carried, checked_rotation, covariance_of
-from sylpose.reading import one_line
+from sylpose.display import Telling, Told, spread, turned
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.matrices import carried, checked_rotation, covariance_of
+from sylpose.geometry.validation import finite, kind_of, real, shown
+from sylpose.input_limits import one_line
 from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory, pan_tilt_roll
 from sylpose.rig import Camera, Rig, single_pose
-from sylpose.told import Telling, Told, spread, turned
 
 __all__ = [
     "MotionView",

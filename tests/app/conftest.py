@@ -12,7 +12,7 @@ from sylpose.app.run import track_session
 from sylpose.capture import open_session
 from sylpose.report.files import read_trajectory
 from sylpose.tracking.known_object import KnownObject
-from tests.takes import FIRST, learning, recorded
+from tests.recordings import FIRST, learning, recorded
 
 
 @pytest.fixture(scope="session")

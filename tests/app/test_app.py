@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.app import text
+from sylpose.app import console_output
 from sylpose.app.run import Run, track_session
 from sylpose.capture import live, open_session
 from sylpose.capture.streams import Grab
 from sylpose.cli import main
-from sylpose.numerics.arrays import Image
+from sylpose.geometry.arrays import Image
 from sylpose.report.files import read_trajectory
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 from sylpose.sync.offsets import load_offsets
@@ -59,7 +59,7 @@ def test_the_summary_counts_what_was_measured(
     frames[4] = replace(frames[4], status=FrameStatus.LOST, world_from_object=None)
     frames[5] = replace(frames[5], status=FrameStatus.RELOCALISED)
     said = Run({"object": Trajectory(frames, run.trajectory.camera_names)}, run.files, (), run.seconds)
-    text.print_summary(text.make_console(), said, 6)
+    console_output.print_summary(console_output.make_console(), said, 6)
     assert "4 of 6 frames (1 relocalised), coasting 1, lost 1" in capsys.readouterr().out
 
 
@@ -80,7 +80,9 @@ def test_the_summary_says_in_how_many_frames_the_length_is_believed(
         )
         for k in range(5)
     ]
-    text.print_summary(text.make_console(), Run({"object": Trajectory(frames, CAMERAS)}, (), (), {"tracking": 1.0}), 5)
+    console_output.print_summary(
+        console_output.make_console(), Run({"object": Trajectory(frames, CAMERAS)}, (), (), {"tracking": 1.0}), 5
+    )
     said = capsys.readouterr().out
     assert ("not observable in 3 frames: without a turn" in said) == bool(straight)
     assert ("Length" in said) == bool(straight)
@@ -119,7 +121,7 @@ def test_the_result_is_the_smoothed_one_if_not_said_otherwise(session: Path, tmp
 def test_what_is_said_of_a_frame_is_said_aloud(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sylpose.tracking.phases.is_ambiguous", lambda *_: True)
+    monkeypatch.setattr("sylpose.tracking.state_machine.is_ambiguous", lambda *_: True)
     run = track_session(replace(open_session(recording), _boxes={}), tmp_path, stop=6, overlay=False)
     assert any("something else moved nearly as much" in problem for problem in run.problems)
 

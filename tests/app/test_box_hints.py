@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.app.box_hints import epipolar_band, epipolar_curve, hints
 from sylpose.frames import Box
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig, camera_at
 from sylpose.simulate import demo_scene, demo_truth, dome
 

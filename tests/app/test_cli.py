@@ -25,22 +25,22 @@ import sylpose
 from sylpose import calibration
 from sylpose.app import check as checks
 from sylpose.app import demo
-from sylpose.app.following import what_moves
+from sylpose.app.preview import what_moves
 from sylpose.app.run import track_session
 from sylpose.capture import Session, open_session
 from sylpose.cli import main
+from sylpose.display import length
 from sylpose.frames import FrameSet
 from sylpose.methods import FEATURES, METHODS
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.report.rigview import meeting_point
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig, camera_at
-from sylpose.told import length
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
 from tests.conftest import FRAMES
-from tests.where import DATA
+from tests.paths import DATA
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

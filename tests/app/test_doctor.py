@@ -18,8 +18,8 @@ import sylpose
 from sylpose.app import doctor
 from sylpose.app.doctor import Diagnosis, diagnose
 from sylpose.cli import main
-from sylpose.two_frames.warming import warm_up
-from tests.where import REPOSITORY
+from sylpose.relative_pose.precompile import warm_up
+from tests.paths import REPOSITORY
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 

@@ -22,11 +22,11 @@ from sylpose.cli import main
 from sylpose.results import Observable
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
-from sylpose.tracking.known_here import known_here
 from sylpose.tracking.known_object import KnownObject
+from sylpose.tracking.object_transfer import known_here
 from sylpose.tracking.tracker import Tracker
 from sylpose.units import FIRST_DISTANCES
-from tests.takes import NEXT, RIG, Path_, elsewhere, errors, recorded, slide
+from tests.recordings import NEXT, RIG, Path_, elsewhere, errors, recorded, slide
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

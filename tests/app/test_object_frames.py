@@ -15,8 +15,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.app.object_files import CLOUD, OBJECT, load_object, save_object
 from sylpose.app.objects import retold
-from sylpose.app.record import USED
 from sylpose.app.run import track_session
+from sylpose.app.run_metadata import USED
 from sylpose.boards.specification import parse_board
 from sylpose.capture import open_session
 from sylpose.cli import main
@@ -26,7 +26,7 @@ from sylpose.rig import Rig
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
 from sylpose.tracking.known_object import KnownObject
 from sylpose.units import FIRST_DISTANCES
-from tests.takes import BOX, NEXT, RIG, elsewhere, errors, learning, marked, recorded, slide
+from tests.recordings import BOX, NEXT, RIG, elsewhere, errors, learning, marked, recorded, slide
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

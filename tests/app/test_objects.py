@@ -17,9 +17,9 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.app.demo import score
 from sylpose.app.run import track_session
+from sylpose.atomic_io import boxes_toml
 from sylpose.capture import open_session
 from sylpose.cli import main
-from sylpose.files import boxes_toml
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, demo_scene, write_recording
 from sylpose.tracking.tracked_frame import TrackedFrame

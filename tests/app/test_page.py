@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 import pytest
 
-from sylpose.app.album import FEWEST, Album, step_after
 from sylpose.app.page import make_page
 from sylpose.app.run import track_session
+from sylpose.app.thumbnails import FEWEST, Album, step_after
 from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.frames import FrameSet

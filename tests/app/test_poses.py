@@ -16,10 +16,10 @@ from sylpose import calibration
 from sylpose.app.pixel_files import load_pixels
 from sylpose.app.point_files import load_points
 from sylpose.app.poses import pose_aloud
-from sylpose.app.record import SETTINGS, USED
-from sylpose.app.recorded import recording_of
 from sylpose.app.report import _images_again
+from sylpose.app.run_metadata import SETTINGS, USED
 from sylpose.app.show import read_scenes
+from sylpose.app.source_recording import recording_of
 from sylpose.boards.specification import parse_board
 from sylpose.cli import main
 from sylpose.report.files import read_trajectory, read_tum
@@ -27,7 +27,7 @@ from sylpose.report.page import page_of
 from sylpose.results import FrameStatus, Observable, Trajectory
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
-from tests.takes import BOX, RIG, elsewhere, errors, marked
+from tests.recordings import BOX, RIG, elsewhere, errors, marked
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

@@ -20,11 +20,11 @@ import pytest
 from sylpose import calibration
 from sylpose.app import checkpoint as checkpoints
 from sylpose.app.checkpoint import CHECKPOINT
+from sylpose.app.checkpoint_schema import KINDS, RunState
 from sylpose.app.run import track_session
-from sylpose.app.state import KINDS, RunState
+from sylpose.atomic_io import beside
 from sylpose.capture import open_session
 from sylpose.cli import main
-from sylpose.files import beside
 from sylpose.report.files import TrajectoryWriter, read_trajectory
 from sylpose.results import FramePose
 from sylpose.rig import Rig
@@ -297,7 +297,7 @@ def test_a_checkpoint_that_cannot_be_written_is_said(
             raise OSError(f"cannot write {path}: no space left on device")
         save(path, *state)
 
-    monkeypatch.setattr("sylpose.app.saving.save_checkpoint", full)
+    monkeypatch.setattr("sylpose.app.checkpoint_schedule.save_checkpoint", full)
     run = track_session(open_session(recording), tmp_path, stop=3, overlay=False, checkpoint_seconds=0)
     assert len(run.trajectory) == 3
     (said,) = run.problems

@@ -18,14 +18,14 @@ import pytest
 from sylpose import calibration
 from sylpose.app.live_page import LivePage, Way
 from sylpose.app.local_page import HOST
-from sylpose.app.player import Player, frames_of
-from sylpose.app.recorded import recording_of
+from sylpose.app.result_player import Player, frames_of
 from sylpose.app.run import track_session
 from sylpose.app.scene_page import MOST_PIECES, SEEN, pieces_of, plain, status_color
 from sylpose.app.show import read_scenes
+from sylpose.app.source_recording import recording_of
 from sylpose.app.viewer_server import MISSING, viewer_server
 from sylpose.capture import open_session
-from sylpose.capture.single import SingleFrames
+from sylpose.capture.random_access import SingleFrames
 from sylpose.cli import main
 from sylpose.results import FrameStatus
 from sylpose.tracking.tracked_frame import TrackedFrame

@@ -11,11 +11,11 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from sylpose import calibration
-from sylpose.app.opening import open_recorded
 from sylpose.app.run import track_session
+from sylpose.app.session_options import open_recorded
 from sylpose.app.world import WorldAsked, world_asked, world_of_session
 from sylpose.archive.recordings import Options, find_recordings
-from sylpose.archive.tracked import track_recording
+from sylpose.archive.worker import track_recording
 from sylpose.boards.specification import parse_board
 from sylpose.calibration.world import load_world
 from sylpose.capture import open_session
@@ -24,7 +24,7 @@ from sylpose.report.files import read_trajectory, read_tum
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.simulate import render_frames, write_sequence
-from tests.boards.drawn import on_the_floor
+from tests.boards.drawing import on_the_floor
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from sylpose.app.run import track_session
-from sylpose.archive import aloud, tracked
+from sylpose.archive import batch_command, worker
 from sylpose.archive.claims import claimed
 from sylpose.archive.contract import How, process, read_record
 from sylpose.archive.recordings import Options, find_recordings
@@ -22,7 +22,7 @@ from sylpose.archive.stores import place
 from sylpose.archive.summary import gathered
 from sylpose.capture import open_session
 from sylpose.cli import main
-from tests.archive.works import HOW, recordings_in, times_worked
+from tests.archive.archive_worker import HOW, recordings_in, times_worked
 
 COLUMNS = ["recording", "status", "frames", "coverage", "residual_px", "faults", "seconds", "error"]
 
@@ -44,7 +44,7 @@ def table(out: Path) -> dict[str, dict[str, str]]:
 @pytest.mark.usefixtures("undrawn")
 def test_results_are_those_of_track(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From an object store into an object store, and in a folder."""
-    monkeypatch.setattr(tracked, "warm", lambda: None)
+    monkeypatch.setattr(worker, "warm", lambda: None)
     store = place("memory://lab/archive")
     for path in recording.iterdir():
         store.write(f"day 1/turn/{path.name}", path)
@@ -67,7 +67,7 @@ def test_results_are_those_of_track(recording: Path, tmp_path: Path, monkeypatch
 
 
 def test_errors_name_the_original_not_the_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracked, "warm", lambda: None)
+    monkeypatch.setattr(worker, "warm", lambda: None)
     place("memory://broken/r").write("calibration.toml", b"?")
     place("memory://broken/r").write("cam_0.mp4", b"?")
     (found,) = find_recordings(["memory://broken"], Options()).recordings
@@ -159,10 +159,10 @@ def test_many_rows_are_not_all_printed(tmp_path: Path, capsys: pytest.CaptureFix
     recordings = recordings_in(tmp_path / "in", **{f"r{k:03}": "work" for k in range(40)}, s="wrong")
     for recording in recordings:
         process(recording, out, HOW)
-    aloud.status_aloud(out, None)
+    batch_command.status_aloud(out, None)
     assert len(gathered(out)) == len(table(tmp_path / "out")) == 41
     said = capsys.readouterr().out
-    assert said.count(" done ") <= aloud.SHOWN + 1
+    assert said.count(" done ") <= batch_command.SHOWN + 1
     assert "Not shown     11: see summary.csv" in said
 
 

@@ -18,7 +18,7 @@ from sylpose.archive import claims, contract
 from sylpose.archive.claims import EXPIRES, Claim, Held, claimed, here
 from sylpose.archive.contract import give_up, process, read_record
 from sylpose.archive.stores import Place, place
-from tests.archive.works import HOW, recordings_in, times_worked
+from tests.archive.archive_worker import HOW, recordings_in, times_worked
 
 NUMBERS = itertools.count()
 

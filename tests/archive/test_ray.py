@@ -15,8 +15,8 @@ from sylpose.archive.ray_cluster import RayWorkers
 from sylpose.archive.recordings import Recording
 from sylpose.archive.run import Died, run_all
 from sylpose.archive.stores import place
-from tests.archive.works import HOW, recordings_in, times_worked
-from tests.where import REPOSITORY
+from tests.archive.archive_worker import HOW, recordings_in, times_worked
+from tests.paths import REPOSITORY
 
 ray: Any = pytest.importorskip("ray")
 GB = 1 << 30

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from sylpose.app.machine import cores, memory_of_machine
+from sylpose.app.system_resources import cores, memory_of_machine
 from sylpose.archive import run, stores
 from sylpose.archive.claims import claimed, process_lives
 from sylpose.archive.contract import How, Summary
@@ -21,8 +21,8 @@ from sylpose.archive.recordings import Recording
 from sylpose.archive.run import Died, run_all, shard_of
 from sylpose.archive.stores import Place, place
 from sylpose.archive.summary import gathered
+from tests.archive.archive_worker import HOW, recordings_in, times_worked
 from tests.archive.s3 import s3_server
-from tests.archive.works import HOW, recordings_in, times_worked
 
 
 def ran(
@@ -201,7 +201,7 @@ from pathlib import Path
 from sylpose.archive.processes import Processes
 from sylpose.archive.run import run_all
 from sylpose.archive.stores import place
-from tests.archive.works import HOW, recordings_in
+from tests.archive.archive_worker import HOW, recordings_in
 
 if __name__ == "__main__":
     with Processes(place("out"), HOW, 2) as workers:

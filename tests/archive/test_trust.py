@@ -9,7 +9,7 @@ import pytest
 from sylpose.archive.claims import holder
 from sylpose.archive.contract import DONE, read_record
 from sylpose.archive.stores import File, Place, place
-from sylpose.archive.tracked import _fetched
+from sylpose.archive.worker import _fetched
 
 
 @pytest.mark.parametrize("name", ["../outside.mp4", "cam_0/../../outside.png", "/outside.mp4"])

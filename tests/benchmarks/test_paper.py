@@ -12,7 +12,7 @@ from benchmarks import consensus as consensus_benchmark
 from benchmarks import depth_plane as depth_plane_benchmark
 from benchmarks import equations, paper_times, sensors
 from sylpose.simulate import ellipsoid
-from tests.where import REPOSITORY
+from tests.paths import REPOSITORY
 
 FOLDER = REPOSITORY / "benchmarks"
 

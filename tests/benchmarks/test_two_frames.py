@@ -30,9 +30,9 @@ from benchmarks.two_frames_report import (
 )
 from benchmarks.two_frames_scenes import ROWS, Row, Scene, make_scene
 from benchmarks.two_frames_solvers import Options, Prepare, Worker
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera
-from tests.where import REPOSITORY
+from tests.paths import REPOSITORY
 
 SCRIPT = REPOSITORY / "benchmarks" / "two_frames.py"
 BASE = ROWS[0]

@@ -14,7 +14,7 @@ from scipy.ndimage import correlate
 
 from benchmarks.xfeat import EPSILON, FIELD, match_xfeat, model_of, weights_of
 from sylpose.features.sift import Features
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 
 SIZE = (64, 96)
 LAYERS = {

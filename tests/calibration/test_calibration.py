@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import calibration
 from sylpose.rig import Camera, LensModel, Rig
-from tests.where import DATA
+from tests.paths import DATA
 
 SUFFIXES = (".toml", ".yml", ".yaml", ".json", ".xml")
 

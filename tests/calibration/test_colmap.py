@@ -13,9 +13,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sylpose import calibration
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
-from tests.calibration.twins import assert_projects, in_front, write
+from tests.calibration.reference_projections import assert_projects, in_front, write
 
 CAMERAS = """# Camera list with one line of data per camera:
 #   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]

@@ -13,8 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sylpose import calibration
-from sylpose.numerics.arrays import FloatArray
-from tests.calibration.twins import OTHER_TURN, TURN, assert_projects, brown, in_front, write
+from sylpose.geometry.arrays import FloatArray
+from tests.calibration.reference_projections import OTHER_TURN, TURN, assert_projects, brown, in_front, write
 
 SHIFT = np.array([0.25, -0.5, 1.5])
 OTHER_SHIFT = np.array([-0.75, 0.125, 2.0])

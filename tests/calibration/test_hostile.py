@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from sylpose import calibration
-from sylpose.reading import SAID, Unreadable
+from sylpose.input_limits import SAID, Unreadable
 from sylpose.simulate import ring
 
 

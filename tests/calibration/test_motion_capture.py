@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sylpose import calibration
-from sylpose.numerics.arrays import FloatArray
-from tests.calibration.twins import OTHER_TURN, TURN, assert_projects, brown, in_front, write
+from sylpose.geometry.arrays import FloatArray
+from tests.calibration.reference_projections import OTHER_TURN, TURN, assert_projects, brown, in_front, write
 
 CENTER = np.array([1250.5, -2340.25, 1820.125])
 # The rows of a camera that looks along -z with y up, and that of one that looks along z with y down: turned about x.

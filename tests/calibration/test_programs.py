@@ -10,8 +10,16 @@ import numpy as np
 import pytest
 
 from sylpose import calibration
-from sylpose.numerics.arrays import FloatArray
-from tests.calibration.twins import OTHER_TURN, TURN, assert_projects, brown, equidistant, in_front, write
+from sylpose.geometry.arrays import FloatArray
+from tests.calibration.reference_projections import (
+    OTHER_TURN,
+    TURN,
+    assert_projects,
+    brown,
+    equidistant,
+    in_front,
+    write,
+)
 
 SHIFT = np.array([-120.5, 3.25, 15.0])
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from sylpose import calibration
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
-from tests.calibration.twins import TURN, assert_projects, brown, equidistant, in_front, write
+from tests.calibration.reference_projections import TURN, assert_projects, brown, equidistant, in_front, write
 
 # As camera_calibration writes it.
 LEFT = """image_width: 640

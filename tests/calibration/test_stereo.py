@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from sylpose import calibration
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
-from tests.calibration.twins import OTHER_TURN, TURN, assert_projects, brown, in_front, write
+from tests.calibration.reference_projections import OTHER_TURN, TURN, assert_projects, brown, in_front, write
 
 # As samples/cpp/stereo_calib.cpp writes them.
 INTRINSICS = """%YAML:1.0

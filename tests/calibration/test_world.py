@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.calibration.world import World, load_world, save_world, told_in, up_in_words, world_with_up
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import arc
 

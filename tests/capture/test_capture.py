@@ -24,7 +24,7 @@ from sylpose.capture.sources import Source
 from sylpose.capture.timeline import build_timeline, load_timestamps
 from sylpose.frames import Box, FrameSet
 from sylpose.rig import Camera, Rig
-from tests.where import DATA
+from tests.paths import DATA
 
 SIZE = (160, 48)
 BITS = 10

@@ -18,7 +18,7 @@ from sylpose.capture.headers import said_size
 from sylpose.capture.images import read_image
 from sylpose.capture.live import open_live
 from sylpose.capture.names import match_names
-from sylpose.reading import Unreadable
+from sylpose.input_limits import Unreadable
 from sylpose.simulate import ring
 
 SIZE = (64, 48)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from sylpose import calibration
-from sylpose.capture.assembly import Assembler, Grab, Shot, StreamClock, Tally
+from sylpose.capture.frame_assembly import Assembler, Grab, Shot, StreamClock, Tally
 from sylpose.capture.growing import DONE
 from sylpose.capture.live import LiveSession, is_live, open_live
 from sylpose.capture.streams import Device

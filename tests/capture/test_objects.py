@@ -16,7 +16,7 @@ from sylpose import calibration
 from sylpose.capture import Session, open_session
 from sylpose.capture.boxes import UNNAMED, load_boxes
 from sylpose.frames import Box, FrameSet
-from sylpose.numerics.arrays import BoolArray
+from sylpose.geometry.arrays import BoolArray
 from sylpose.rig import Camera, Rig
 
 SIZE = (64, 48)

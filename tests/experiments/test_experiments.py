@@ -30,7 +30,7 @@ from sylpose.experiments.scenes import (
 )
 from sylpose.experiments.table import error_columns, quartiles
 from sylpose.experiments.timing import straight_line
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 
 TIMES = ("time_cameras", "time_matches")
 PNG = b"\x89PNG\r\n\x1a\n"

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sylpose.features.klt import HALF, Tracks, advance, begin, grey
-from sylpose.numerics.arrays import FloatArray, Image
+from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.simulate import demo_scene, render_frames
 
 SIZE = (260, 200)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from sylpose.features.sift import Features, detect, match_features, match_where_expected, seen_before
+from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.matches import Matches
-from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.rig import Camera
 from sylpose.simulate import demo_scene, render_frames, ring
 

@@ -14,12 +14,12 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.landmarks.alignment import FIRST_PX, Aligned, Sights, Start, align, stack
 from sylpose.landmarks.camera_terms import CUTOFF, INDEPENDENT, camera_terms, own_of
+from sylpose.landmarks.distributed_alignment import OneOfMany
 from sylpose.landmarks.joint_step import disagreement, doubt_cameras
-from sylpose.landmarks.one_of_many import OneOfMany
-from sylpose.landmarks.told import Says
-from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.landmarks.messages import Says
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import dome, ellipsoid, ring
 

@@ -12,19 +12,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.alignment import Sights
-from sylpose.landmarks.told import Judges, Says
+from sylpose.landmarks.messages import Judges, Says
 from sylpose.network.arrays import array_packed, array_unpacked
 from sylpose.network.codec import LARGEST, RECORDS, packed, unpacked
-from sylpose.network.roll import Roll
-from sylpose.network.words import HEADER
-from sylpose.numerics.arrays import FloatArray
-from sylpose.tracking.anchor import Anchor
+from sylpose.network.frame_announcement import Roll
+from sylpose.network.wire_format import HEADER
+from sylpose.relative_pose.terms import TermData
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.handover import Handover, Waited
-from sylpose.tracking.joint import Joint, Nudge
+from sylpose.tracking.joint_state import Joint, Nudge
+from sylpose.tracking.klt_frontend import Anchor
+from sylpose.tracking.motion_model import Velocity
 from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.records import (
+from sylpose.tracking.reports import (
     Ages,
     Agreed,
     Chance,
@@ -37,8 +38,7 @@ from sylpose.tracking.records import (
     Sighted,
     Stance,
 )
-from sylpose.tracking.velocity import Velocity
-from sylpose.two_frames.terms import TermData
+from sylpose.tracking.state_transfer import Handover, Waited
 
 RNG = np.random.default_rng(0)
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from sylpose.report.files import read_trajectory
 from sylpose.results import FramePose, FrameStatus
 from sylpose.simulate import demo_scene, demo_truth, render_frames
-from sylpose.simulate.files import session_folder, write_videos
+from sylpose.simulate.recording_files import session_folder, write_videos
 from tests.clips import SIZE
 
 pytest.importorskip("zenoh")

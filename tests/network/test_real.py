@@ -18,22 +18,22 @@ from sylpose import calibration
 from sylpose.app.network_demo import node_command
 from sylpose.capture import open_session
 from sylpose.cli import main
-from sylpose.network.agreed import Patience
 from sylpose.network.keys import make_keys
+from sylpose.network.membership import Answer, Ask, Present, Tell
 from sylpose.network.node import Node, track_by_node
-from sylpose.network.presence import Answer, Ask, Present, Tell
+from sylpose.network.rounds import Patience
 from sylpose.network.runner import Runner
-from sylpose.network.simulated import Recorded, Reel
-from sylpose.network.wire import LOOPBACK, Links, Place, Wire, digest_of, watch_network
-from sylpose.network.words import Welcome
-from sylpose.paper.distributed.messages import Packet
+from sylpose.network.simulation import Recorded, Reel
+from sylpose.network.wire_format import Welcome
+from sylpose.network.zenoh_transport import LOOPBACK, Links, Place, Wire, digest_of, watch_network
 from sylpose.report.files import read_trajectory
 from sylpose.simulate import render_sequence
 from sylpose.simulate.demo import DemoTruth
+from sylpose.sylvester.distributed.messages import Packet
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
 from tests.clips import SIZE, Clip, errors
-from tests.network.test_simulated import FRAMES, clip  # noqa: F401
+from tests.network.test_simulation import FRAMES, clip  # noqa: F401
 
 pytest.importorskip("zenoh")
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from sylpose.app import node
 from sylpose.app.node_view import _pose_of
 from sylpose.network.keys import LISTENER, access_rules, make_keys, tls_settings
-from sylpose.network.wire import LONGEST_LINE, Links, Place, check_name, line_of
+from sylpose.network.zenoh_transport import LONGEST_LINE, Links, Place, check_name, line_of
 
 NAMES = ("cam_0", "cam_1")
 anything = st.recursive(

@@ -19,8 +19,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import calibration
 from sylpose.app.page import make_page
-from sylpose.app.record import SETTINGS, USED
-from sylpose.numerics.angles import PAN_TILT_ROLL
+from sylpose.app.run_metadata import SETTINGS, USED
+from sylpose.geometry.euler_angles import PAN_TILT_ROLL
 from sylpose.report import page_data
 from sylpose.report.files import write_trajectory
 from sylpose.report.page import ASSETS, Head, page_of
@@ -29,7 +29,7 @@ from sylpose.report.scene import GRID, Scene, Stills, scene_of
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Rig, camera_at
 from tests.browser import Opened, opened
-from tests.where import REPOSITORY
+from tests.paths import REPOSITORY
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

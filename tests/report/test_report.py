@@ -22,9 +22,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.files import output_folder
-from sylpose.numerics.angles import angles_of
-from sylpose.numerics.arrays import FloatArray, Image
+from sylpose.atomic_io import output_folder
+from sylpose.geometry.arrays import FloatArray, Image
+from sylpose.geometry.euler_angles import angles_of
 from sylpose.report import drawing, overlay, plots
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum, write_trajectory, write_tum
 from sylpose.report.overlay import OverlayWriter, Shown
@@ -32,7 +32,7 @@ from sylpose.report.plots import plot_trajectory, summary
 from sylpose.report.rigview import describe_rig, meeting_point, plot_rig, view_axes
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 from sylpose.rig import Camera, Rig
-from tests.where import DATA
+from tests.paths import DATA
 
 TEMPLE = DATA / "temple"
 NAMES = ("left", "right, upper")

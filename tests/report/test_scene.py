@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import calibration
-from sylpose.app.record import USED
+from sylpose.app.run_metadata import USED
 from sylpose.app.scene import read_scene
 from sylpose.report.files import write_trajectory
 from sylpose.report.scene import FRUSTUM, GRID, Cloud, Scene, scene_of

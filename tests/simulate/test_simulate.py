@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from sylpose import calibration, simulate
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Body, OutlierKind, SimulatedPair
 

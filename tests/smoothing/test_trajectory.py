@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.adjustment.calibration import corrected, usual_doubt
+from sylpose.bundle_adjustment.calibration_refinement import corrected, usual_doubt
 from sylpose.frames import FrameSet
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.results import FramePose, FrameStatus, Status
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
 from sylpose.smoothing.trajectory import Smoothed, Track, _worth_using, smooth
-from sylpose.tracking.joint import Nudge
+from sylpose.tracking.joint_state import Nudge
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
 
 RIG = ring(3, 1.5, 1000.0, height=(0.4, -0.1, 0.3))

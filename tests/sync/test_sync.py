@@ -17,12 +17,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.app import sync as app_sync
 from sylpose.app.sync import Known, sync_aloud, sync_session, write_offsets
 from sylpose.capture import Session, open_session
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.results import FramePose, FrameStatus, Status
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
 from sylpose.smoothing.trajectory import Smoothed, Track
 from sylpose.sync.offsets import load_offsets, retimed
-from sylpose.sync.pulses import Pulse, coarse_offsets, image_speed, small_grey, split_offsets
+from sylpose.sync.speed_correlation import Pulse, coarse_offsets, image_speed, small_grey, split_offsets
 from sylpose.tracking.tracked_frame import Sightings
 from sylpose.tracking.tracker import track
 

@@ -10,19 +10,19 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.features.sift import Features
-from sylpose.landmarks.places import new_landmarks
-from sylpose.landmarks.table import LandmarkTable
-from sylpose.numerics.arrays import Image
+from sylpose.geometry.arrays import Image
+from sylpose.landmarks.landmark_filter import new_landmarks
+from sylpose.landmarks.landmark_table import LandmarkTable
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera
 from sylpose.simulate import Actor, arc, demo_scene, render_frames
-from sylpose.tracking.crew import OneProcess
+from sylpose.tracking.camera_executor import OneProcess
 from sylpose.tracking.frame import CameraFrame, Pair
-from sylpose.tracking.joint import MIN_MOVED, Joint
-from sylpose.tracking.phases import PATIENCE
-from sylpose.tracking.records import Ages, Agreed
-from sylpose.tracking.seen_again import CLEARLY, SeenAgain
-from sylpose.tracking.start import FirstMotion, agree, first_motion, jitter_of
+from sylpose.tracking.initialization import FirstMotion, agree, first_motion, jitter_of
+from sylpose.tracking.joint_state import MIN_MOVED, Joint
+from sylpose.tracking.reobserved import CLEARLY, SeenAgain
+from sylpose.tracking.reports import Ages, Agreed
+from sylpose.tracking.state_machine import PATIENCE
 from sylpose.tracking.tracker import track
 from tests.clips import HALF_DEGREE, SIZE, Clip, errors, frame_sets, rested, statuses
 

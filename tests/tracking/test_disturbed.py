@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.numerics.arrays import Image
+from sylpose.geometry.arrays import Image
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, chamfered_box
-from sylpose.tracking.learn import silenced
+from sylpose.tracking.map_update import silenced
 from sylpose.tracking.tracker import track
 from tests.clips import (
     BLACK,

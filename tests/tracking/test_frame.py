@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.features.sift import Features
-from sylpose.landmarks.table import LandmarkTable
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
+from sylpose.landmarks.landmark_table import LandmarkTable
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import ellipsoid, ring
 from sylpose.tracking.frame import (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sylpose.features.sift import MAX_FEATURES, Features, detect
-from sylpose.numerics.arrays import Image
+from sylpose.geometry.arrays import Image
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera
 from sylpose.simulate import render_frames

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sylpose.frames import Box
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
 from sylpose.tracking.object_model import MAX_POINTS, ObjectModel

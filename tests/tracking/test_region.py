@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.frames import Box
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig, camera_at
 from sylpose.simulate import arc, ring
 from sylpose.tracking.region import polygon_mask, region_polygon, volume_from_boxes

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.frames import FrameSet
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.results import FrameStatus
 from sylpose.simulate import Actor, Scene, demo_truth, render_frames
 from sylpose.simulate.render import Path

@@ -13,13 +13,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.frames import Box, FrameSet
+from sylpose.geometry.arrays import BoolArray
 from sylpose.methods import METHODS
-from sylpose.numerics.arrays import BoolArray
 from sylpose.results import FrameStatus, Observable
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import arc, demo_scene
 from sylpose.tracking.frame import CameraFrame
-from sylpose.tracking.joint import RECENT
+from sylpose.tracking.joint_state import RECENT
 from sylpose.tracking.region import polygon_mask, region_polygon
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker, track
@@ -201,7 +201,7 @@ def test_an_object_at_rest_at_first(n_cameras: int) -> None:
 
 
 def test_an_object_at_rest_for_long(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.phases.PATIENCE", 3)
+    monkeypatch.setattr("sylpose.tracking.state_machine.PATIENCE", 3)
     images = [clip.images[0]] * 6 + clip.images[1:4]
     with Tracker(clip.rig) as tracker:
         given = [tracker.step(frame) for frame in frame_sets(images)]
@@ -443,7 +443,7 @@ def test_images_are_let_go_and_references_are_bounded(clip: Clip, monkeypatch: p
 
 
 def test_frames_that_wait_for_motion_are_few(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.phases.PATIENCE", 2)
+    monkeypatch.setattr("sylpose.tracking.state_machine.PATIENCE", 2)
     refs: list[weakref.ref[Any]] = []
     with Tracker(clip.rig) as tracker:
         for k in range(6):

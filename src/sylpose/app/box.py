@@ -12,16 +12,16 @@ from typing import TypeVar
 
 import msgspec
 
-from sylpose.app import text
+from sylpose.app import console_output
 from sylpose.app.box_hints import hints
 from sylpose.app.check import concerns
 from sylpose.app.local_page import Answer, Get, LocalPage, as_json, open_browser
+from sylpose.atomic_io import boxes_toml, replacing
 from sylpose.capture import Session
 from sylpose.capture.boxes import UNNAMED, boxes_in
-from sylpose.files import boxes_toml, replacing
 from sylpose.frames import Box
-from sylpose.numerics.arrays import FloatArray, Image
-from sylpose.reading import one_line
+from sylpose.geometry.arrays import FloatArray, Image
+from sylpose.input_limits import one_line
 from sylpose.report.pictures import jpeg, smaller
 from sylpose.tracking.region import volume_from_boxes
 
@@ -149,14 +149,14 @@ def box_aloud(
         ValueError: a frame that the recording does not have, or in which no camera has an image.
         OSError: naming the port that is taken.
     """
-    console = text.make_console()
-    console.print(text.headline(session))
+    console = console_output.make_console()
+    console.print(console_output.headline(session))
     words = ["sylpose", "track", str(session.path), *options, *(["--start", str(start)] if start else [])]
     words += [] if out is None else ["--boxes", str(out)]
     problems: list[str] = []
     with closing(session.frames(start, start + 1, on_problem=problems.append)) as frames:
         images = next(frames, None)
-    text.print_warnings(console, problems)
+    console_output.print_warnings(console, problems)
     if images is None or all(image is None for image in images.images):
         raise ValueError(f"{session.path}: no camera has an image in frame {start}, to draw boxes in")
     file = session.path / "boxes.toml" if out is None else out
@@ -171,7 +171,7 @@ def box_aloud(
     except KeyboardInterrupt:
         raise KeyboardInterrupt("interrupted; no boxes were written") from None
     boxes = drawing.saved
-    text.print_warnings(console, concerns(replace(session, objects=tuple(boxes), _boxes=boxes), start))
+    console_output.print_warnings(console, concerns(replace(session, objects=tuple(boxes), _boxes=boxes), start))
     of = ", ".join(dict.fromkeys(camera for its in boxes.values() for camera in its))
     what = "Boxes" if len(boxes) == 1 else f"Boxes of {', '.join(boxes)}"
     console.print(f"{what} in {of}: {file}", soft_wrap=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sylpose.frames import Box
-from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.report.drawing import project
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.region import volume_from_boxes

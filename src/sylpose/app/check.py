@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from sylpose.app import text
-from sylpose.app.following import Follows, box_outlines, what_moves
-from sylpose.app.notes import boxes_by, notes
-from sylpose.app.opening import check_out
-from sylpose.app.record import WORLD
-from sylpose.app.text import length
+from sylpose.app import console_output
+from sylpose.app.console_output import length
+from sylpose.app.preview import Follows, box_outlines, what_moves
+from sylpose.app.run_metadata import WORLD
+from sylpose.app.session_options import check_out
+from sylpose.app.session_warnings import boxes_by, notes
+from sylpose.atomic_io import output_folder
 from sylpose.calibration import format_of
 from sylpose.calibration.world import save_world
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
-from sylpose.files import output_folder
-from sylpose.numerics.arrays import FloatArray
-from sylpose.report.following import draw_followed, draw_world
+from sylpose.geometry.arrays import FloatArray
+from sylpose.report.preview import draw_followed, draw_world
 from sylpose.report.rigview import describe_rig, meeting_point, plot_rig
 from sylpose.rig import Rig
 from sylpose.tracking.region import volume_from_boxes
@@ -80,12 +80,14 @@ def check_aloud(session: Session, out: Path | None) -> None:
     picture = output_folder(folder) / "rig.png"
     places = {name: object_place(session.of(name)) for name in session.objects}
     place = next(iter(places.values()))
-    console = text.make_console()
-    console.print(text.headline(session))
+    console = console_output.make_console()
+    console.print(console_output.headline(session))
     console.print()
-    text.print_table(console, text.RIG_HEADER, text.rig_rows(session, describe_rig(session.rig, place.center)))
+    console_output.print_table(
+        console, console_output.RIG_HEADER, console_output.rig_rows(session, describe_rig(session.rig, place.center))
+    )
     console.print()
-    text.print_facts(console, facts(session, places))
+    console_output.print_facts(console, facts(session, places))
     plot_rig(session.rig, picture, place.center if place.radius else None, place.radius)
     wrong = obstacles(places)
     followed = None if wrong else follows(session)
@@ -99,12 +101,12 @@ def check_aloud(session: Session, out: Path | None) -> None:
         images = first.images if first is not None else [None] * len(session.rig)
         draw_world(pictures[-1], images, session.rig)
         save_world(session.world, picture.with_name(WORLD))
-    text.print_files(console, "Pictures" if len(pictures) > 1 else "Picture", pictures)
+    console_output.print_files(console, "Pictures" if len(pictures) > 1 else "Picture", pictures)
     console.print()
     if followed is not None:
         console.print(f"Follows: {followed.said}.", highlight=False)
     found = [*warnings(session, places), *(followed.wrong if followed is not None else ())]
-    text.print_warnings(console, found)
+    console_output.print_warnings(console, found)
     if wrong:
         raise ValueError(f"{'; '.join(wrong)} ({boxes_by(session)} anew)")
     missed = axes_miss(session.rig)

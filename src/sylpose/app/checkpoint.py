@@ -17,10 +17,10 @@ import msgspec
 import numpy as np
 
 from sylpose import __version__
-from sylpose.app.encoding import decoded, encoded
-from sylpose.app.state import FUNCTIONS, KINDS, RunState
+from sylpose.app.checkpoint_schema import FUNCTIONS, KINDS, RunState
+from sylpose.app.serialization import decoded, encoded
+from sylpose.atomic_io import replacing
 from sylpose.capture import Session
-from sylpose.files import replacing
 from sylpose.rig import Rig
 
 __all__ = ["CHECKPOINT", "fingerprint", "load_checkpoint", "save_checkpoint"]

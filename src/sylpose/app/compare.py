@@ -10,12 +10,12 @@ import numpy as np
 from rich.text import Text
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.app import text
-from sylpose.app.record import settings_of, table, world_said
+from sylpose.app import console_output
+from sylpose.app.run_metadata import settings_of, table, world_said
 from sylpose.app.view import read_result
+from sylpose.atomic_io import output_folder, replacing
 from sylpose.comparison import Alignment, Comparison, compared, statistics
-from sylpose.files import output_folder, replacing
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.report.comparison import plot_comparison
 from sylpose.report.files import read_tum
 from sylpose.units import METRES
@@ -53,7 +53,7 @@ def compare_aloud(
     result = compared(
         ours.times, poses, theirs.times, theirs.poses, align=cast(Alignment, align), step=step, within=within
     )
-    console = text.make_console()
+    console = console_output.make_console()
     console.print(
         Text.assemble(
             (f"{a} against {b}", "bold"), f": {len(result.times)} of {result.total} poses, aligned by {align}"
@@ -67,15 +67,15 @@ def compare_aloud(
         both = statistics(np.degrees(degrees)), statistics(lengths)
         turned, moved = ({name: v if v > NOTHING else 0.0 for name, v in its.items()} for its in both)
         rows.append([f"{label} turn", *(f"{turned[name]:.3g}°" for name in SHOWN)])
-        rows.append([f"{label} position", *(text.length(moved[name], unit) for name in SHOWN)])
-    text.print_table(console, ("Error", *SHOWN), rows)
-    text.print_warnings(console, may_differ(a, b, ours.unit, theirs.unit, align))
+        rows.append([f"{label} position", *(console_output.length(moved[name], unit) for name in SHOWN)])
+    console_output.print_table(console, ("Error", *SHOWN), rows)
+    console_output.print_warnings(console, may_differ(a, b, ours.unit, theirs.unit, align))
     folder = output_folder(out)
     files = [folder / "compare.json", folder / f"compare.{plot_format}"]
     with replacing(files[0]) as part:
         part.write_text(json.dumps(numbers_of(result, step, unit), indent=1) + "\n", encoding="utf-8")
     plot_comparison(result, files[1], unit=unit, title=f"{a} against {b}")
-    text.print_files(console, "Files", files)
+    console_output.print_files(console, "Files", files)
 
 
 def read_motion(path: Path) -> _Motion:

@@ -6,7 +6,7 @@ import sys
 
 from rich.console import Console
 
-from sylpose.reading import SENTENCE, one_line
+from sylpose.input_limits import SENTENCE, one_line
 
 __all__ = ["make_console", "say"]
 

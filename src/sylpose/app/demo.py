@@ -11,13 +11,13 @@ from rich.console import Console
 from rich.text import Text
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.app import text
-from sylpose.app.aloud import track_aloud, why_nothing
+from sylpose.app import console_output
+from sylpose.app.track_command import track_aloud, why_nothing
+from sylpose.atomic_io import output_folder, replacing, writing
 from sylpose.capture import open_session
 from sylpose.comparison import pairs_in_time
-from sylpose.files import output_folder, replacing, writing
-from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.checked import number
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.validation import number
 from sylpose.report.files import read_tum
 from sylpose.simulate import DemoTruth, render_sequence
 
@@ -62,7 +62,7 @@ def demo_aloud(out: Path, *, frames: int, turn_deg: float, n_cameras: int, seed:
     Raises:
         ValueError, OSError: as `render_demo` and `track_session`.
     """
-    console = text.make_console()
+    console = console_output.make_console()
     rendering = f"Rendering {frames} frames of {n_cameras} cameras ..."
     if not console.is_terminal:  # which shows it while it lasts
         console.print(rendering)
@@ -87,9 +87,12 @@ def _print_score(console: Console, result: Score, unit: str) -> None:
     console.print(Text.assemble(("Against the truth", "bold"), f", motion since the first of {found} frames"))
     rows = [
         ["turn", *(f"{value:.2f}°" for value in (result.rotation[-1], result.rotation.max()))],
-        ["position", *(text.length(value, unit) for value in (result.displacement[-1], result.displacement.max()))],
+        [
+            "position",
+            *(console_output.length(value, unit) for value in (result.displacement[-1], result.displacement.max())),
+        ],
     ]
-    text.print_table(console, ("Error", "at the end", "worst"), rows)
+    console_output.print_table(console, ("Error", "at the end", "worst"), rows)
 
 
 def score(

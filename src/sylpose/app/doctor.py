@@ -21,8 +21,8 @@ from types import ModuleType
 from packaging.requirements import InvalidRequirement, Requirement
 
 import sylpose
-from sylpose.app.machine import cores, memory_of_machine
-from sylpose.numerics.cache_folders import CHOSEN, is_writable, place_of
+from sylpose.app.system_resources import cores, memory_of_machine
+from sylpose.geometry.cache_folders import CHOSEN, is_writable, place_of
 
 __all__ = ["Diagnosis", "diagnose", "doctor_aloud"]
 
@@ -63,8 +63,8 @@ def doctor_aloud(*, as_json: bool = False, compile_first: bool = False) -> list[
     """
     found = diagnose()
     if compile_first and not found.problems:
-        from sylpose.app.compiling import compile_aloud
-        from sylpose.app.text import make_console
+        from sylpose.app.console_output import make_console
+        from sylpose.app.precompile import compile_aloud
 
         compile_aloud(make_console(stderr=as_json))
         found = diagnose()
@@ -211,8 +211,8 @@ def _look_at_folders(found: Diagnosis) -> None:
 def _look_at_kernels(found: Diagnosis) -> None:
     """Where compiled code is, and whether it runs."""
     try:
-        from sylpose.app.compiling import is_compiled, kept_in
-        from sylpose.numerics.kernel_cache import announced
+        from sylpose.app.precompile import is_compiled, kept_in
+        from sylpose.geometry.kernel_cache import announced
     except Exception as error:
         found.problems.append(f"sylpose itself cannot be loaded ({type(error).__name__}: {error})")
         return
@@ -234,7 +234,7 @@ def _look_at_kernels(found: Diagnosis) -> None:
 def _compiles() -> None:
     import numpy as np
 
-    from sylpose.numerics.compiled import cholesky_solve
+    from sylpose.geometry.numba_linalg import cholesky_solve
 
     x = np.array([2.0, 4.0])
     if not cholesky_solve(2.0 * np.eye(2), x) or not np.allclose(x, [1.0, 2.0]):

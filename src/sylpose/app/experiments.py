@@ -8,9 +8,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sylpose.app import text
+from sylpose.app import console_output
+from sylpose.atomic_io import output_folder, replacing
 from sylpose.experiments import STUDIES, Study
-from sylpose.files import output_folder, replacing
 
 __all__ = ["chosen", "run_studies"]
 
@@ -50,7 +50,7 @@ def run_studies(studies: Sequence[Study], out: Path, *, seed: int, quick: bool) 
     if seed < 0:
         raise ValueError(f"--seed must not be negative, got {seed}")
     folder = output_folder(out)
-    console = text.make_console()
+    console = console_output.make_console()
     files: list[Path] = []
     entries: list[str] = []
     _write_index(folder, entries, seed, quick)

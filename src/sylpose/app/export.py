@@ -6,8 +6,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from sylpose.app import text
-from sylpose.app.record import root_of, world_said
+from sylpose.app import console_output
+from sylpose.app.run_metadata import root_of, world_said
 from sylpose.app.view import read_result
 from sylpose.exports.formats import FORMATS
 from sylpose.exports.poses import Poses
@@ -41,12 +41,12 @@ def export_aloud(
     own = folder.name if root_of(folder) != folder else "object"
     asked = _between(trajectory, start, stop)
     notes = export(asked, out, to, name=name or own, z_up=world_said(result) is not None)
-    console = text.make_console()
+    console = console_output.make_console()
     found = sum(frame.measured for frame in asked)
     console.print(f"{found} of {len(asked)} frames have a measured pose.")
     for note in notes:
         console.print(f"{note[0].upper()}{note[1:]}.", highlight=False)
-    text.print_files(console, "File" if out.is_file() else "Folder", [out])
+    console_output.print_files(console, "File" if out.is_file() else "Folder", [out])
 
 
 def export(

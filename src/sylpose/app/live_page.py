@@ -9,9 +9,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from sylpose.app.player import add_layers, add_views, said_of
+from sylpose.app.result_player import add_layers, add_views, said_of
 from sylpose.app.scene_page import MOST_PIECES, ScenePage, plain
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.report.scene import scene_of
 from sylpose.results import Trajectory
 from sylpose.rig import Rig

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sylpose.app import text
+from sylpose.app import console_output
 from sylpose.app.demo import MAX_ERROR_DEG, render_demo, score
+from sylpose.geometry.arrays import FloatArray
 from sylpose.methods import MODES
-from sylpose.network.wire import LOOPBACK, Links, watch_network
-from sylpose.numerics.arrays import FloatArray
+from sylpose.network.zenoh_transport import LOOPBACK, Links, watch_network
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.report.network import NodeAnswer, plot_nodes
 
@@ -50,7 +50,7 @@ def network_demo_aloud(out: Path, *, frames: int, speed: float, seed: int) -> li
     Returns:
         sentences that say what went wrong; none when all nodes that lived had every frame to `MAX_ERROR_DEG`.
     """
-    console = text.make_console()
+    console = console_output.make_console()
     truth = render_demo(out, frames=frames, turn_deg=90.0, n_cameras=CAMERAS, seed=seed)
     names = [f"cam_{c}" for c in range(CAMERAS)]
     killed, network = names[1], f"demo-{os.getpid()}"
@@ -109,7 +109,7 @@ def _judged(
     center: FloatArray,
 ) -> list[str]:
     """What came of it, as a table and a picture."""
-    console, failures, rows, answers = text.make_console(), [], [], []
+    console, failures, rows, answers = console_output.make_console(), [], [], []
     true_times, truth = read_tum(out / "groundtruth.tum")
     for folder in [*names, f"{killed}_again"]:
         name, said = folder.removesuffix("_again"), results / folder / "said.txt"
@@ -130,9 +130,9 @@ def _judged(
             failures.append(f"{folder}: poses of {len(solved)} of {frames} frames")
     if away is None:
         failures.append(f"{killed}: was not killed, or did not come back")
-    text.print_table(console, ["node", "frames", "poses", "worst, degrees"], rows)
+    console_output.print_table(console, ["node", "frames", "poses", "worst, degrees"], rows)
     if answers:
         picture = out / "network.png"
         plot_nodes(answers, true_times, truth, away, picture)
-        text.print_files(console, "Files", [picture])
+        console_output.print_files(console, "Files", [picture])
     return failures

@@ -16,20 +16,20 @@ from rich.console import Console
 
 from sylpose import __version__
 from sylpose import calibration as calibrations
-from sylpose.app import text
-from sylpose.app.shots import Live, Played
+from sylpose.app import console_output
+from sylpose.app.frame_source import Live, Played
 from sylpose.capture.boxes import load_boxes
 from sylpose.capture.sources import source_of
 from sylpose.frames import Box
-from sylpose.network.agreed import Patience
+from sylpose.input_limits import one_line
+from sylpose.network.membership import Answer, Ask, Present
 from sylpose.network.node import Node, track_by_node
-from sylpose.network.presence import Answer, Ask, Present
+from sylpose.network.rounds import Patience
 from sylpose.network.runner import TICK, Runner
-from sylpose.network.wire import Links, Place, Wire, digest_of, watch_network
-from sylpose.network.words import MOST_CAMERAS
-from sylpose.reading import one_line
+from sylpose.network.wire_format import MOST_CAMERAS
+from sylpose.network.zenoh_transport import Links, Place, Wire, digest_of, watch_network
 from sylpose.report.files import TrajectoryWriter
-from sylpose.report.lines import pose_line
+from sylpose.report.json_lines import pose_line
 from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.tracking.tracked_frame import TrackedFrame
@@ -87,7 +87,7 @@ def node_aloud(asked: Asked) -> bool:
     c = _number(rig, asked.camera, asked.calibration)
     boxes = _boxes(asked.boxes, rig)
     shots = _shots(asked, rig, c)
-    console = text.make_console()
+    console = console_output.make_console()
     place = Place(asked.camera, digest_of(rig, _alike(asked, boxes)), asked.network)
     told = _Told()
     present = Present(
@@ -126,7 +126,7 @@ def node_aloud(asked: Asked) -> bool:
         wire.close()
         with suppress(ValueError):  # its thread may be reading still
             shots.close()
-    text.print_files(console, "Files", [writer.tum_path, writer.csv_path])
+    console_output.print_files(console, "Files", [writer.tum_path, writer.csv_path])
     if stopped():
         raise KeyboardInterrupt(f"{asked.camera}: stopped")
     return told.poses > 0
@@ -250,7 +250,7 @@ class _Says:
         for name, why in refused.items():
             if self._said.get(name) != why:
                 self._said[name] = why
-                text.say(f"{self._asked.camera}: {name} is refused: {why}")
+                console_output.say(f"{self._asked.camera}: {name} is refused: {why}")
         state = self._state(p, now)
         self._wire.say_state(json.dumps({**state, "refused": refused}))
         self._console.print(self._line(state), soft_wrap=True)
@@ -323,11 +323,11 @@ def nodes_aloud(network: str, links: Links, seconds: float) -> bool:
                 f"{1e3 * apart:.0f}" if abs(apart) < CLOCK_OFF else f"{apart:+.1f} s",
             ]
         )
-    console = text.make_console()
+    console = console_output.make_console()
     head = ["node", "state", "with", "frames", "per s", "ms", "bytes/frame", "rounds/frame", "clock ms"]
-    text.print_table(console, head, rows) if rows else console.print(f"nobody is in network {network}")
+    console_output.print_table(console, head, rows) if rows else console.print(f"nobody is in network {network}")
     if len(rigs) > 1:
-        text.say(
+        console_output.say(
             f"there are {len(rigs)} different calibrations or options in network {network}: such nodes do not talk"
         )
     return bool(rows)

@@ -10,9 +10,9 @@ from queue import Empty, SimpleQueue
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.app import text
+from sylpose.app import console_output
 from sylpose.app.node import interrupted
-from sylpose.network.wire import Links, watch_network
+from sylpose.network.zenoh_transport import Links, watch_network
 from sylpose.report.files import write_tum
 from sylpose.rig import MAX_LENGTH, Camera
 
@@ -31,7 +31,7 @@ def view_node_aloud(camera: Camera, network: str, links: Links, out: Path) -> bo
     lines: SimpleQueue[str] = SimpleQueue()
     session = watch_network(links, network, lambda *_: None, lambda _, line: lines.put(line))
     seen: dict[int, tuple[float, RigidTransform]] = {}
-    console, said, last = text.make_console(), 0.0, time.monotonic()
+    console, said, last = console_output.make_console(), 0.0, time.monotonic()
     with interrupted() as stopped:
         while not stopped() and time.monotonic() - last < (OVER if seen else PATIENCE):
             try:
@@ -53,7 +53,7 @@ def view_node_aloud(camera: Camera, network: str, links: Links, out: Path) -> bo
         file = out / f"view_{camera.name}.tum"
         out.mkdir(parents=True, exist_ok=True)
         write_tum(file, [t for t, _ in frames], RigidTransform.concatenate([pose for _, pose in frames]))
-        text.print_files(console, "Files", [file])
+        console_output.print_files(console, "Files", [file])
     return bool(seen)
 
 

@@ -8,14 +8,14 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.absolute_pose.pose_frame import frame_pose
 from sylpose.app.object_frames import Found
-from sylpose.app.picks import Result
-from sylpose.boards.location import Sighting, find_board
+from sylpose.app.point_selection import Result
+from sylpose.boards.board_pose import Sighting, find_board
 from sylpose.boards.specification import parse_board
 from sylpose.capture import Session, open_session
-from sylpose.known_model.pose_frame import frame_pose
-from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.robust import chi_squared_bound
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.results import Status
 from sylpose.sync.offsets import find_offsets, retimed
 from sylpose.units import FIRST_DISTANCES

@@ -16,15 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from sylpose import __version__
+from sylpose.atomic_io import replacing
 from sylpose.features.sift import Features
-from sylpose.files import replacing
-from sylpose.landmarks.places import Landmarks
-from sylpose.numerics.arrays import FloatArray
-from sylpose.reading import told
+from sylpose.geometry.arrays import FloatArray
+from sylpose.input_limits import told
+from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.known_here import check_unit
 from sylpose.tracking.known_object import FEWEST, CameraMemory, KnownObject, ObjectFrame
+from sylpose.tracking.object_transfer import check_unit
 
 __all__ = ["CLOUD", "DRAWN", "OBJECT", "checksum_of", "known_objects", "load_object", "save_object", "write_cloud"]
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.app.picks import Picked, Result, known_well, picked, result_of
-from sylpose.known_model.axes import by_extent, by_plane, by_points, drawn_sd, on_plane, plane_of
-from sylpose.numerics.arrays import FloatArray
+from sylpose.absolute_pose.object_axes import by_extent, by_plane, by_points, drawn_sd, on_plane, plane_of
+from sylpose.app.point_selection import Picked, Result, known_well, picked, result_of
+from sylpose.geometry.arrays import FloatArray
 from sylpose.tracking.known_object import KnownObject
 
 __all__ = ["LARGEST", "Found", "Points", "extent_frame", "moved_frame", "one_of_draws", "plane_frame", "points_frame"]

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import calibration
-from sylpose.app import text
+from sylpose.app import console_output
 from sylpose.app.object_boards import board_frame
 from sylpose.app.object_files import CLOUD, OBJECT, load_object, save_object, write_cloud
 from sylpose.app.object_frames import (
@@ -21,11 +21,11 @@ from sylpose.app.object_frames import (
     plane_frame,
     points_frame,
 )
-from sylpose.app.picks import KNOWN_DEPTH, Picked, known_well, result_of
-from sylpose.app.record import SETTINGS, USED
-from sylpose.files import output_folder
-from sylpose.numerics.arrays import FloatArray
-from sylpose.reading import told
+from sylpose.app.point_selection import KNOWN_DEPTH, Picked, known_well, result_of
+from sylpose.app.run_metadata import SETTINGS, USED
+from sylpose.atomic_io import output_folder
+from sylpose.geometry.arrays import FloatArray
+from sylpose.input_limits import told
 from sylpose.report.files import write_trajectory
 from sylpose.report.plots import plot_trajectory
 from sylpose.results import FramePose, Trajectory
@@ -49,22 +49,22 @@ def show_aloud(path: Path) -> None:
     Raises:
         FileNotFoundError, ValueError: as `load_object`.
     """
-    known, console = load_object(path), text.make_console()
-    text.print_facts(console, facts_of(known))
+    known, console = load_object(path), console_output.make_console()
+    console_output.print_facts(console, facts_of(known))
     rows = []
     for name, memory in known._cameras.items():
         sd = memory.landmarks.depth_sd
         well = sd[sd < KNOWN_DEPTH * known.radius]
         views = sum(len(features) > 0 for features in memory.features)
-        middle = text.length(float(np.median(well)), known.unit) if len(well) else "-"
+        middle = console_output.length(float(np.median(well)), known.unit) if len(well) else "-"
         rows.append([name, str(len(sd)), str(len(well)), middle, str(views)])
-    text.print_table(console, ["camera", "landmarks", "known well", "their median sd", "in keyframes"], rows)
+    console_output.print_table(console, ["camera", "landmarks", "known well", "their median sd", "in keyframes"], rows)
 
 
 def facts_of(known: KnownObject) -> list[tuple[str, str]]:
     """What is said of an object."""
     good, unit = known_well(known), known.unit
-    bound = text.length(KNOWN_DEPTH * known.radius, unit)
+    bound = console_output.length(KNOWN_DEPTH * known.radius, unit)
     turns = Rotation.concatenate([k.world_from_object.rotation for k in known._keyframes])
     angle = np.degrees((turns * turns[0].inv()).magnitude().max())
     facts = [
@@ -73,11 +73,11 @@ def facts_of(known: KnownObject) -> list[tuple[str, str]]:
             f"{known.mark}, {len(known.places)} landmarks, {len(good)} of them known well: to {bound} in depth",
         ),
         ("Keyframes", f"{len(known._keyframes)}, turned by {angle:.0f}° at most"),
-        ("Radius", text.length(known.radius, unit)),
+        ("Radius", console_output.length(known.radius, unit)),
     ]
     if len(good):
         size = np.ptp(good, axis=0)
-        facts.append(("Extent", " x ".join(text.length(float(s), unit) for s in size) + " along its axes"))
+        facts.append(("Extent", " x ".join(console_output.length(float(s), unit) for s in size) + " along its axes"))
     if unit == FIRST_DISTANCES:
         facts.append(
             ("Unit", "the first distance from the one camera that has learnt it; sylpose object scale sets another")
@@ -90,7 +90,7 @@ def facts_of(known: KnownObject) -> list[tuple[str, str]]:
         facts.append(("", sd_words(known.frame.sd, unit)))
     moved, turned = known.frame.from_learnt.translation, known.frame.from_learnt.rotation.magnitude()
     if moved.any() or turned:
-        far = text.length(float(np.linalg.norm(moved)), unit)
+        far = console_output.length(float(np.linalg.norm(moved)), unit)
         facts.append(("", f"origin {far} from where it was learnt, axes turned by {np.degrees(turned):.1f}°"))
     return facts
 
@@ -98,7 +98,9 @@ def facts_of(known: KnownObject) -> list[tuple[str, str]]:
 def sd_words(sd: FloatArray, unit: str) -> str:
     """Standard deviations of a frame for people."""
     axes = ", ".join(f"{np.degrees(s):.2f}°" for s in sd[:3])
-    return f"origin to {text.length(float(np.linalg.norm(sd[3:])), unit)}, axes to {axes} about x, y, z (one sd)"
+    return (
+        f"origin to {console_output.length(float(np.linalg.norm(sd[3:])), unit)}, axes to {axes} about x, y, z (one sd)"
+    )
 
 
 # --- frame -----------------------------------------------------------------------------------------------------------
@@ -121,7 +123,7 @@ def frame_aloud(
     """Sets the frame of an object, writes it as another file, and says how certain it is.
 
     Args:
-        origin, x, xy: points (`app.picks.picked`).
+        origin, x, xy: points (`app.point_selection.picked`).
         plane: "largest", or points on it.
         extent: by the directions in which it extends.
         turn: "X,Y,Z" degrees about the present axes, in this order.
@@ -161,11 +163,11 @@ def frame_aloud(
     with told(target):
         new = known.in_frame(*found)
     write_object(new, target)
-    console = text.make_console()
-    text.print_facts(console, [fact for fact in facts_of(new) if fact[0] in ("Frame", "", "Extent")])
+    console = console_output.make_console()
+    console_output.print_facts(console, [fact for fact in facts_of(new) if fact[0] in ("Frame", "", "Extent")])
     if found.sd[:3].max() > HARDLY:
-        text.print_warnings(console, [f"its axes are hardly told: {sd_words(found.sd, known.unit)}"])
-    text.print_files(console, "Files", [target, target.with_suffix(".ply")])
+        console_output.print_warnings(console, [f"its axes are hardly told: {sd_words(found.sd, known.unit)}"])
+    console_output.print_files(console, "Files", [target, target.with_suffix(".ply")])
 
 
 def write_object(known: KnownObject, target: Path) -> None:
@@ -197,7 +199,7 @@ def scale_aloud(
 
     Args:
         target: None: only say how far off it is.
-        between: two points (`app.picks.picked`).
+        between: two points (`app.point_selection.picked`).
         distance: that they are apart.
         unit: of the distance.
         result: as in `frame_aloud`.
@@ -217,15 +219,21 @@ def scale_aloud(
     open_size = known.unit == FIRST_DISTANCES
     if not open_size and unit not in (None, known.unit):
         raise ValueError(f"--unit {unit}: the object's lengths are in {known.unit or 'a unit that is not said'}")
-    console = text.make_console()
+    console = console_output.make_console()
     if open_size:
-        facts = [("Apart", f"{text.length(apart, FIRST_DISTANCES)}, said to be {text.length(distance, unit or '')}")]
+        facts = [
+            (
+                "Apart",
+                f"{console_output.length(apart, FIRST_DISTANCES)}, said to be {console_output.length(distance, unit or '')}",
+            )
+        ]
         facts.append(("Size", f"{distance / apart:.6g} times, to {100 * sd:.2g} % (one sd)"))
     else:
         off = apart / distance - 1.0
-        words = f"{text.length(apart, known.unit)} as measured, {text.length(distance, known.unit)} as said"
+        measured, given = (console_output.length(value, known.unit) for value in (apart, distance))
+        words = f"{measured} as measured, {given} as said"
         facts = [("Apart", words), ("Off", f"{100 * off:+.2f} %, measured to {100 * sd:.2g} % (one sd)")]
-    text.print_facts(console, facts)
+    console_output.print_facts(console, facts)
     if target is None:
         return
     if not open_size:
@@ -234,7 +242,7 @@ def scale_aloud(
             "If it is off, the calibration is: calibrate again, or scale the calibration's unit"
         )
     write_object(known.sized(distance / apart, unit or "", min(sd, 1.0)), target)
-    text.print_files(console, "Files", [target, target.with_suffix(".ply")])
+    console_output.print_files(console, "Files", [target, target.with_suffix(".ply")])
 
 
 def _apart_sd(a: Picked, b: Picked) -> float:
@@ -277,7 +285,7 @@ def apply_aloud(path: Path, result: Path, out: Path, plot_format: str = "png") -
     picture = out / f"report.{plot_format}"
     plot_trajectory(trajectory, picture, note=f"{result.resolve().name}, in the frame of {path.name}")
     save_object(replace(load_object(result / OBJECT), frame=known.frame), out / OBJECT)
-    text.print_files(text.make_console(), "Files", [*files, picture, out / USED, out / OBJECT])
+    console_output.print_files(console_output.make_console(), "Files", [*files, picture, out / USED, out / OBJECT])
 
 
 def retold(pose: FramePose, new_from_object: RigidTransform) -> FramePose:

@@ -7,24 +7,24 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
-from sylpose.adjustment.calibration import usual_doubt
-from sylpose.app.album import Album
-from sylpose.app.clock import Clock
+from sylpose.app.calibration_refinement import changes, moved_cameras, write_refined
+from sylpose.app.checkpoint_schema import OutputState
+from sylpose.app.frame_store import FrameFile
 from sylpose.app.object_files import CLOUD, OBJECT, save_object, write_cloud
-from sylpose.app.recalibrate import changes, moved_cameras, write_refined
-from sylpose.app.state import OutputState
-from sylpose.app.tracks import FrameFile
-from sylpose.files import output_folder
-from sylpose.numerics.angles import PAN_TILT_ROLL, Angles
-from sylpose.reading import MAX_TABLE
+from sylpose.app.thumbnails import Album
+from sylpose.app.timing import Clock
+from sylpose.atomic_io import output_folder
+from sylpose.bundle_adjustment.calibration_refinement import usual_doubt
+from sylpose.geometry.euler_angles import PAN_TILT_ROLL, Angles
+from sylpose.input_limits import MAX_TABLE
 from sylpose.report.files import TrajectoryWriter, write_trajectory
 from sylpose.report.formats import PAGE
 from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
 from sylpose.smoothing.known import tracks_of
 from sylpose.smoothing.trajectory import Track, smooth
-from sylpose.tracking.known_here import KnownHere
 from sylpose.tracking.known_object import KnownObject
+from sylpose.tracking.object_transfer import KnownHere
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["MAX_SMOOTHED", "RESULT", "SUFFIXES", "TRACKED", "TRACKS", "ObjectOutput", "Overlay"]

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from sylpose import __version__
-from sylpose.app import text
+from sylpose.app import console_output
 from sylpose.app.object_files import OBJECT
-from sylpose.app.record import SETTINGS, root_of, settings_of, table
+from sylpose.app.run_metadata import SETTINGS, root_of, settings_of, table
 from sylpose.app.scene import calibration_used, read_cloud, rig_of
 from sylpose.app.view import read_result
-from sylpose.numerics.angles import PAN_TILT_ROLL, angles_of
-from sylpose.reading import told
+from sylpose.geometry.euler_angles import PAN_TILT_ROLL, angles_of
+from sylpose.input_limits import told
 from sylpose.report.formats import PAGE
 from sylpose.report.page import Head, write_page
 from sylpose.report.scene import Stills, scene_of
@@ -71,7 +71,7 @@ def _head(folder: Path, trajectory: Trajectory, settings: Mapping[str, Any]) -> 
         facts=facts,
         settings=_told(settings),
         noticed=[str(said) for said in noticed] if isinstance(noticed := settings.get("noticed"), list) else [],
-        cameras=text.per_camera(trajectory),
+        cameras=console_output.per_camera(trajectory),
         videos=_videos(root, "" if root == folder else "../"),
     )
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from sylpose.capture.names import match_names
-from sylpose.numerics.arrays import FloatArray
-from sylpose.reading import MAX_TABLE, one_line, text_of, told
+from sylpose.geometry.arrays import FloatArray
+from sylpose.input_limits import MAX_TABLE, one_line, text_of, told
 from sylpose.rig import MAX_PX
 
 __all__ = ["LIKELIHOOD", "Sightings", "load_pixels"]

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from sylpose.boards.specification import Board, parse_board
-from sylpose.numerics.arrays import FloatArray
-from sylpose.reading import bytes_of, one_line, parsed_toml, text_of, told
+from sylpose.geometry.arrays import FloatArray
+from sylpose.input_limits import bytes_of, one_line, parsed_toml, text_of, told
 from sylpose.rig import MAX_LENGTH
 from sylpose.units import METRES, length_of
 

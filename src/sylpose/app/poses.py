@@ -14,22 +14,22 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose import __version__, calibration
-from sylpose.app import text
-from sylpose.app.album import Album
-from sylpose.app.notes import notes
-from sylpose.app.opening import camera_files, check_out, open_recorded
+from sylpose.absolute_pose.pose import estimate_pose
+from sylpose.absolute_pose.pose_frame import frame_pose
+from sylpose.app import console_output
 from sylpose.app.page import make_page
 from sylpose.app.pixel_files import load_pixels
 from sylpose.app.point_files import Layout, PointModel, load_points
-from sylpose.app.record import SETTINGS, checksum, settings_of, table, write_record, write_record_of_tables
 from sylpose.app.results_folder import ResultsFolder, alone_in
 from sylpose.app.run import Run
+from sylpose.app.run_metadata import SETTINGS, checksum, settings_of, table, write_record, write_record_of_tables
+from sylpose.app.session_options import camera_files, check_out, open_recorded
+from sylpose.app.session_warnings import notes
+from sylpose.app.thumbnails import Album
 from sylpose.boards.detection import markers_in
 from sylpose.capture import Session
-from sylpose.known_model.pose import estimate_pose
-from sylpose.known_model.pose_frame import frame_pose
-from sylpose.numerics.arrays import FloatArray, Image
-from sylpose.reading import MAX_TABLE, told
+from sylpose.geometry.arrays import FloatArray, Image
+from sylpose.input_limits import MAX_TABLE, told
 from sylpose.report.files import TrajectoryWriter
 from sylpose.report.formats import FORMATS
 from sylpose.report.plots import plot_trajectory
@@ -96,7 +96,7 @@ def pose_aloud(
         raise ValueError(f"--format must be one of {', '.join(FORMATS)}, got {plot_format!r}")
     if not (np.isfinite(max_error_px) and max_error_px > 0):
         raise ValueError(f"--max-error must be a number of pixels, got {max_error_px}")
-    known, begun, console = load_points(model), time.monotonic(), text.make_console()
+    known, begun, console = load_points(model), time.monotonic(), console_output.make_console()
     if (out / SETTINGS).exists() and "model" not in table(settings_of(out), "options"):
         raise ValueError(f"{out}: a run's results are there; another folder is expected: --out DIR")
     noticed, album = list[str](), None
@@ -131,7 +131,7 @@ def pose_aloud(
         frames = _in_tables(known, seen, rig, cameras, rate, likelihood, noticed)
         asked |= {"rate": rate, "likelihood": likelihood}
         record = partial(write_record_of_tables, out, tables, given, rig, asked, noticed)
-    text.print_warnings(console, noticed)
+    console_output.print_warnings(console, noticed)
     poses, results = list[FramePose](), ResultsFolder(out)
     with ExitStack() as whole:
         whole.enter_context(alone_in(out))
@@ -146,7 +146,7 @@ def pose_aloud(
         if faults := Counter(fault for pose in poses for fault in pose.faults):
             fault, count = faults.most_common(1)[0]
             noticed = [f"in {count} of {len(poses)} frames {fault}", *noticed]
-            text.print_warnings(console, noticed[:1])
+            console_output.print_warnings(console, noticed[:1])
         trajectory, looked = Trajectory(poses, rig.names, rig.unit), time.monotonic()
         files = [writer.tum_path, writer.csv_path, *files]
         if poses:
@@ -158,7 +158,7 @@ def pose_aloud(
         results.end()
     seconds = {"looking": looked - begun, "plots": time.monotonic() - looked}
     run = Run({"object": trajectory}, tuple(files), (), seconds)
-    text.print_summary(console, run, len(poses))
+    console_output.print_summary(console, run, len(poses))
     return run
 
 
@@ -179,7 +179,7 @@ def _markers(known: PointModel, model: Path, rig: Rig, is_in: str | None) -> Lay
 def _in_recording(
     session: Session, layout: Layout, start: int, stop: int | None, every: int, album: Album
 ) -> Iterator[Seen]:
-    with closing(session.frames(start, stop, every, lambda sentence: text.say(sentence))) as frames:
+    with closing(session.frames(start, stop, every, lambda sentence: console_output.say(sentence))) as frames:
         for its in frames:
             album.put(its)
             both = [_seen_in(image, camera, layout) for image, camera in zip(its.images, session.rig, strict=True)]

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sylpose.app import text
-from sylpose.app.album import Album
+from sylpose.app import console_output
 from sylpose.app.page import make_page
-from sylpose.app.record import SETTINGS, root_of, settings_of, table
-from sylpose.app.recorded import recording_of
-from sylpose.reading import bytes_of, told
+from sylpose.app.run_metadata import SETTINGS, root_of, settings_of, table
+from sylpose.app.source_recording import recording_of
+from sylpose.app.thumbnails import Album
+from sylpose.input_limits import bytes_of, told
 from sylpose.report.formats import PAGE
 from sylpose.report.page import IMAGES
 from sylpose.report.scene import Stills
@@ -35,13 +35,13 @@ def report_aloud(result: Path) -> None:
     folder = result if result.is_dir() else result.parent
     objects = sorted(file.parent for file in folder.glob("*/trajectory.csv") if (folder / SETTINGS).is_file())
     folders = [folder] if (folder / "trajectory.csv").exists() or not objects else objects
-    console, pages = text.make_console(), list[Path]()
+    console, pages = console_output.make_console(), list[Path]()
     for its in folders:
         stills, said = _images_again(its)
         pages.append(make_page(its, stills))
         if said:
-            text.print_warnings(console, [said])
-    text.print_files(console, "Files" if len(pages) > 1 else "File", pages)
+            console_output.print_warnings(console, [said])
+    console_output.print_files(console, "Files" if len(pages) > 1 else "File", pages)
 
 
 def _images_again(folder: Path) -> tuple[Stills, str]:

@@ -15,12 +15,12 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from sylpose.app.calibration_refinement import REFINED, REFINED_END
 from sylpose.app.checkpoint import CHECKPOINT
 from sylpose.app.object_files import CLOUD, OBJECT
 from sylpose.app.outputs import RESULT, SUFFIXES, TRACKED, TRACKS
-from sylpose.app.recalibrate import REFINED, REFINED_END
-from sylpose.app.record import SETTINGS, USED, WORLD
-from sylpose.files import beside, output_folder, writing
+from sylpose.app.run_metadata import SETTINGS, USED, WORLD
+from sylpose.atomic_io import beside, output_folder, writing
 
 __all__ = ["EARLIER", "ResultsFolder", "alone_in"]
 

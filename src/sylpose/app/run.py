@@ -10,23 +10,23 @@ from pathlib import Path
 from typing import Any
 
 from sylpose import __version__
-from sylpose.app.album import Album, step_after
-from sylpose.app.clock import Clock
+from sylpose.app.checkpoint_schedule import Saver
+from sylpose.app.checkpoint_schema import OutputState, RunState
 from sylpose.app.object_files import checksum_of
-from sylpose.app.opening import check_out
-from sylpose.app.outcome import Run
 from sylpose.app.outputs import MAX_SMOOTHED, ObjectOutput, Overlay
 from sylpose.app.progress import Watcher, watched
-from sylpose.app.record import SETTINGS, USED, WORLD, write_record
 from sylpose.app.results_folder import ResultsFolder, alone_in
-from sylpose.app.saving import Saver
-from sylpose.app.state import OutputState, RunState
+from sylpose.app.run_metadata import SETTINGS, USED, WORLD, write_record
+from sylpose.app.run_result import Run
+from sylpose.app.session_options import check_out
+from sylpose.app.thumbnails import Album, step_after
+from sylpose.app.timing import Clock
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.frames import FrameSet
+from sylpose.geometry.euler_angles import angles_of
 from sylpose.methods import FEATURES, METHODS, MODES, features_of
-from sylpose.network.stepwise import NodesTracker
-from sylpose.numerics.angles import angles_of
+from sylpose.network.node_tracker import NodesTracker
 from sylpose.report.formats import FORMATS
 from sylpose.results import FramePose
 from sylpose.rig import Rig
@@ -117,7 +117,7 @@ def track_session(
             the frame that they had there. Their boxes are not used.
         workers: as in `track`; the result does not depend on it.
         distributed: None for one process; "exact" or "economical": by nodes, one for each camera, over a simulated network
-            (`network.stepwise`), of a recording.
+            (`network.node_tracker`), of a recording.
         resume: go on with the run in `out` that was interrupted. It must have had the same options.
         checkpoint_seconds: between two checkpoints; 0 for one after every frame. Live sessions have none.
         progress: True for a bar in a terminal or a notebook; or called with the numbers of frames that are tracked and that

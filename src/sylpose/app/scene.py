@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from sylpose import calibration
+from sylpose.app.calibration_refinement import REFINED
 from sylpose.app.object_files import DRAWN, OBJECT, load_object
-from sylpose.app.recalibrate import REFINED
 from sylpose.app.view import calibration_of, read_result
 from sylpose.report.scene import Cloud, Scene, Stills, scene_of
 from sylpose.results import Trajectory

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sylpose.numerics.arrays import FloatArray, Image, IntArray
+from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.report.pictures import straightened
 from sylpose.report.scene import Scene
 from sylpose.results import FrameStatus

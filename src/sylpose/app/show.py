@@ -7,16 +7,16 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from sylpose import calibration
-from sylpose.app import text
+from sylpose.app import console_output
 from sylpose.app.local_page import HOST, open_browser
-from sylpose.app.player import Player, saved_page
-from sylpose.app.recorded import recording_of
+from sylpose.app.result_player import Player, saved_page
 from sylpose.app.scene import read_scene
+from sylpose.app.source_recording import recording_of
 from sylpose.app.view import calibration_of
 from sylpose.app.viewer_server import viewer_server
+from sylpose.atomic_io import replacing
 from sylpose.capture import Session
-from sylpose.capture.single import SingleFrames
-from sylpose.files import replacing
+from sylpose.capture.random_access import SingleFrames
 from sylpose.report.scene import Scene
 
 __all__ = ["read_scenes", "show_aloud"]
@@ -45,7 +45,7 @@ def show_aloud(
     Raises:
         ValueError, OSError: as `read_scenes` and `viewer_server`; a file that cannot be written.
     """
-    console = text.make_console()
+    console = console_output.make_console()
     scenes = read_scenes(result, given)
     rig = calibration.load(calibration_of(result, given))
     session, why = _recording(result, moved)
@@ -53,20 +53,22 @@ def show_aloud(
     objects = f", {len(scenes)} objects: {', '.join(scenes)}" if len(scenes) > 1 else ""
     console.print(f"{result}: {len(first.cameras)} cameras, {len(first.index)} frames{objects}", soft_wrap=True)
     if why:
-        text.print_warnings(console, [f"No images: {why}"])
+        console_output.print_warnings(console, [f"No images: {why}"])
     with ExitStack() as stack:
         stills = None if session is None else stack.enter_context(SingleFrames(session))
         if save is not None:
             with replacing(save) as part:
                 part.write_text(saved_page(scenes, rig, stills), encoding="utf-8")
-            text.print_files(console, "File", [save])
+            console_output.print_files(console, "File", [save])
             return
         server, url = stack.enter_context(viewer_server(host, port))
         stack.enter_context(Player(server, scenes, rig, stills, _title(result.resolve())))
         opened = browser and open_browser(url)
         console.print(f"{'Opened' if opened else 'Open'} {url} in a browser; Ctrl-C ends it.", soft_wrap=True)
         if host != HOST:
-            text.print_warnings(console, ["Who knows this address can see it, from other computers too, unencrypted."])
+            console_output.print_warnings(
+                console, ["Who knows this address can see it, from other computers too, unencrypted."]
+            )
         try:
             while True:
                 time.sleep(0.2)

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sylpose.app import text
-from sylpose.app.compiling import compile_aloud
+from sylpose.app import console_output
+from sylpose.app.precompile import compile_aloud
+from sylpose.atomic_io import output_folder, replacing, toml_key
 from sylpose.capture import Session
-from sylpose.files import output_folder, replacing, toml_key
 from sylpose.frames import FrameSet
-from sylpose.numerics.arrays import FloatArray, Image
+from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.smoothing.trajectory import Track, smooth
 from sylpose.sync.offsets import OFFSETS_FILE, load_offsets, retimed
-from sylpose.sync.pulses import Delays, Pulse, coarse_offsets, image_speed, small_grey, split_offsets
+from sylpose.sync.speed_correlation import Delays, Pulse, coarse_offsets, image_speed, small_grey, split_offsets
 from sylpose.tracking.tracker import track
 
 __all__ = ["Known", "Synced", "sync_aloud", "sync_session", "write_offsets"]
@@ -280,9 +280,9 @@ def sync_aloud(
     """
     path = session.path / OFFSETS_FILE if out is None else out
     _check_asked(session, out, seed)
-    console = text.make_console()
-    console.print(text.headline(session))
-    text.print_warnings(console, session.warnings)
+    console = console_output.make_console()
+    console.print(console_output.headline(session))
+    console_output.print_warnings(console, session.warnings)
     compile_aloud(console)
     progress = _Watching()
     try:
@@ -292,17 +292,19 @@ def sync_aloud(
     finally:
         progress.stop()
     console.print()
-    text.print_table(console, ("Camera", "late", "give or take", "frames", "residual", "offset"), _rows(synced))
+    console_output.print_table(
+        console, ("Camera", "late", "give or take", "frames", "residual", "offset"), _rows(synced)
+    )
     console.print()
     found = [*synced.problems]
     for known in (Known.COARSE, Known.NOT):
         names = [name for name, k in zip(synced.cameras, synced.known, strict=True) if k is known]
         if names:
             found.append(f"{', '.join(names)}: {known.text[0].lower()}{known.text[1:]}")
-    text.print_warnings(console, found)
+    console_output.print_warnings(console, found)
     if any(known is not Known.NOT for known in synced.known):
         write_offsets(synced, path)
-        text.print_files(console, "Offsets", [path])
+        console_output.print_files(console, "Offsets", [path])
     return synced
 
 
@@ -343,7 +345,7 @@ class _Watching:
     """A progress bar on stderr for one loop after the other; nothing when that is no terminal."""
 
     def __init__(self) -> None:
-        console = text.make_console(stderr=True)
+        console = console_output.make_console(stderr=True)
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import __version__, calibration
-from sylpose.app import text
-from sylpose.app.record import USED, WORLD, world_said
+from sylpose.app import console_output
+from sylpose.app.run_metadata import USED, WORLD, world_said
 from sylpose.calibration.world import load_world, told_in
-from sylpose.numerics.angles import PAN_TILT_ROLL, Angles, angles_of
+from sylpose.geometry.euler_angles import PAN_TILT_ROLL, Angles, angles_of
 from sylpose.report.files import read_trajectory, write_trajectory
 from sylpose.report.plots import plot_trajectory
 from sylpose.results import Trajectory
@@ -46,7 +46,7 @@ def view_aloud(
         eye, at: where a virtual camera stands and what it looks at.
         out: folder for the files; None: beside the trajectory.
         plot_format: what the picture's name ends with.
-        angles: three more, about the camera's axes, as `numerics.angles.angles_of` reads them.
+        angles: three more, about the camera's axes, as `geometry.euler_angles.angles_of` reads them.
 
     Raises:
         ValueError, OSError: as the functions below; options that exclude each other.
@@ -62,7 +62,9 @@ def view_aloud(
         camera = looked_up(name, calibration_of(result, given), result)
     about = None if angles is None else angles_of(angles)
     folder = out if out is not None else result if result.is_dir() else result.parent
-    text.print_files(text.make_console(), "Files", write_view(trajectory, name, camera, folder, plot_format, about))
+    console_output.print_files(
+        console_output.make_console(), "Files", write_view(trajectory, name, camera, folder, plot_format, about)
+    )
 
 
 def read_result(path: Path) -> Trajectory:

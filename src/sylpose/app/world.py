@@ -11,17 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from sylpose.boards.location import Sighting, find_board
+from sylpose.boards.board_pose import Sighting, find_board
 from sylpose.boards.specification import EXAMPLES, Board, is_board, parse_board
 from sylpose.calibration.world import World, load_world, up_in_words
 from sylpose.capture import Session
+from sylpose.capture.frame_readers import CameraReader
 from sylpose.capture.images import read_image
 from sylpose.capture.names import IMAGE_SUFFIXES, match_names
-from sylpose.capture.readers import CameraReader
 from sylpose.capture.session import SessionBase
 from sylpose.capture.sources import NO_CAMERAS, VIDEO_SUFFIXES, source_of
-from sylpose.numerics.arrays import Image
-from sylpose.reading import one_line
+from sylpose.geometry.arrays import Image
+from sylpose.input_limits import one_line
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.units import METRES

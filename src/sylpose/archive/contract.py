@@ -103,7 +103,7 @@ class How:
     """
 
     run: str
-    work: str = "sylpose.archive.tracked:track_recording"
+    work: str = "sylpose.archive.worker:track_recording"
     threads: int = 1
     scratch: str | None = None
     retry_failed: bool = False

@@ -13,7 +13,7 @@ from multiprocessing.context import SpawnProcess
 from types import TracebackType
 from typing import Any, Self
 
-from sylpose.app.machine import cores, memory_of_machine
+from sylpose.app.system_resources import cores, memory_of_machine
 from sylpose.archive.contract import How, Summary, process
 from sylpose.archive.recordings import Recording
 from sylpose.archive.run import Died

@@ -19,8 +19,8 @@ from sylpose.archive.stores import File, Place, is_url, place, resolved
 from sylpose.calibration.files import is_calibration_name
 from sylpose.capture.names import IMAGE_SUFFIXES
 from sylpose.capture.sources import NO_CAMERAS, VIDEO_SUFFIXES
+from sylpose.input_limits import MAX_TABLE, one_line, parsed_toml, told
 from sylpose.methods import FEATURES, METHODS, features_of
-from sylpose.reading import MAX_TABLE, one_line, parsed_toml, told
 
 __all__ = ["Found", "Options", "Recording", "find_recordings"]
 

@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sylpose.boards.edges import corners_of_edges
+from sylpose.boards.marker_corners import corners_of_edges
 from sylpose.boards.specification import Board
-from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.rig import Camera
 
 __all__ = ["Detection", "detect", "markers_in"]

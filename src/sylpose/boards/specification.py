@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.numerics.checked import finite, finite_rows, items, kind_of, number, one_of, shown, truth, whole
-from sylpose.reading import one_line
+from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.validation import finite, finite_rows, items, kind_of, number, one_of, shown, truth, whole
+from sylpose.input_limits import one_line
 from sylpose.units import NoUnit, length_of
 
 __all__ = ["EXAMPLES", "Board", "is_board", "parse_board"]

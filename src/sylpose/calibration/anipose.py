@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from sylpose.calibration.build import convert, make_camera, make_pose, make_rig
-from sylpose.files import toml_string
+from sylpose.atomic_io import toml_string
+from sylpose.calibration.camera_builder import convert, make_camera, make_pose, make_rig
 from sylpose.rig import Camera, Rig
 
 __all__ = ["CameraTable", "camera_of", "is_anipose", "read", "to_text"]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sylpose.calibration.anipose import CameraTable, camera_of
-from sylpose.calibration.build import convert, make_rig
+from sylpose.calibration.camera_builder import convert, make_rig
 from sylpose.rig import Rig
 
 __all__ = ["is_caliscope", "read"]

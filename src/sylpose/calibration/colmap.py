@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.calibration.build import (
+from sylpose.calibration.camera_builder import (
     Sizes,
     lens_terms,
     make_camera,
@@ -25,8 +25,8 @@ from sylpose.calibration.build import (
     sizes_of,
 )
 from sylpose.calibration.colmap_model import Model
-from sylpose.calibration.shots import Shot, path_of, still_cameras, told_apart
-from sylpose.numerics.arrays import FloatArray
+from sylpose.calibration.static_cameras import Shot, path_of, still_cameras, told_apart
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = ["HALF", "is_rig_config", "lens_of_model", "read", "read_rig_config", "to_texts"]

@@ -9,8 +9,8 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from sylpose.numerics.arrays import FloatArray
-from sylpose.reading import MAX_TABLE, one_line, regular_file, told
+from sylpose.geometry.arrays import FloatArray
+from sylpose.input_limits import MAX_TABLE, one_line, regular_file, told
 from sylpose.rig import MAX_LENGTH
 
 __all__ = ["Image", "Lens", "Model", "is_model", "read_model"]

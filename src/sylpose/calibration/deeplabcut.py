@@ -7,9 +7,9 @@ from typing import Any
 
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.calibration.build import Sizes, make_camera, make_pose, make_rig, numbers, sizes_of
-from sylpose.calibration.unpickled import unpickled
-from sylpose.reading import bytes_of
+from sylpose.calibration.camera_builder import Sizes, make_camera, make_pose, make_rig, numbers, sizes_of
+from sylpose.calibration.safe_pickle import unpickled
+from sylpose.input_limits import bytes_of
 from sylpose.rig import Rig
 
 __all__ = ["STEREO", "is_pickle", "read"]

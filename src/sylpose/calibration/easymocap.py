@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from sylpose.calibration.build import Sizes, make_camera, make_pose, make_rig, plain, sizes_of
-from sylpose.calibration.content import beside, plain_of
+from sylpose.calibration.camera_builder import Sizes, make_camera, make_pose, make_rig, plain, sizes_of
+from sylpose.calibration.sniffing import beside, plain_of
 from sylpose.rig import Rig
 
 __all__ = ["is_easymocap", "read"]

@@ -6,11 +6,11 @@ import os
 import re
 from pathlib import Path
 
-from sylpose.calibration.build import Sizes
+from sylpose.atomic_io import output_folder, replacing
+from sylpose.calibration.camera_builder import Sizes
 from sylpose.calibration.formats import stands_for, told_format
-from sylpose.calibration.written import format_for
-from sylpose.files import output_folder, replacing
-from sylpose.reading import told
+from sylpose.calibration.writers import format_for
+from sylpose.input_limits import told
 from sylpose.rig import Rig
 
 __all__ = ["find", "format_of", "is_calibration_name", "load", "save"]

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.calibration.build import (
+from sylpose.calibration.camera_builder import (
     Sizes,
     lens_named,
     make_camera,
@@ -32,7 +32,7 @@ from sylpose.calibration.build import (
     pose_of_matrix,
     sizes_of,
 )
-from sylpose.calibration.unfinished import unfinished
+from sylpose.calibration.incomplete_files import unfinished
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = ["error_of", "is_calibration", "lens_of", "pick", "read", "says", "to_text"]

@@ -27,11 +27,11 @@ from sylpose.calibration import (
     stereo,
     vicon,
 )
-from sylpose.calibration.build import Sizes
+from sylpose.calibration.camera_builder import Sizes
 from sylpose.calibration.colmap_model import is_model, read_model
-from sylpose.calibration.content import content_of
-from sylpose.calibration.unfinished import unfinished
-from sylpose.reading import told
+from sylpose.calibration.incomplete_files import unfinished
+from sylpose.calibration.sniffing import content_of
+from sylpose.input_limits import told
 from sylpose.rig import Rig
 
 __all__ = ["FORMATS", "Format", "stands_for", "told_format"]

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from sylpose.calibration.build import Sizes, make_camera, make_pose, make_rig, numbers, plain, sizes_of
-from sylpose.calibration.content import documents_beside
+from sylpose.calibration.camera_builder import Sizes, make_camera, make_pose, make_rig, numbers, plain, sizes_of
+from sylpose.calibration.sniffing import documents_beside
 from sylpose.rig import Rig
 
 __all__ = ["is_jarvis", "read"]

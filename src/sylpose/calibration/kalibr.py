@@ -13,7 +13,7 @@ from typing import Any
 
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.calibration.build import lens_terms, make_camera, make_rig, matrix_of, numbers, pose_of_matrix
+from sylpose.calibration.camera_builder import lens_terms, make_camera, make_rig, matrix_of, numbers, pose_of_matrix
 from sylpose.rig import Camera, LensModel, Rig
 from sylpose.units import METRES
 

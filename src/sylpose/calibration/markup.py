@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import yaml
 
-from sylpose.reading import MAX_DEPTH
+from sylpose.input_limits import MAX_DEPTH
 
 __all__ = ["documents", "elements", "from_json", "from_xml", "from_yaml"]
 

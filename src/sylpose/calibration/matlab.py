@@ -11,7 +11,7 @@ from typing import Any
 
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.calibration.build import Sizes, make_camera, make_pose, make_rig, numbers, sizes_of
+from sylpose.calibration.camera_builder import Sizes, make_camera, make_pose, make_rig, numbers, sizes_of
 from sylpose.rig import Camera, Rig
 
 __all__ = ["is_matlab", "read"]

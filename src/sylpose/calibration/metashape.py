@@ -15,9 +15,17 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.calibration.build import attribute, make_camera, make_pose, make_rig, matrix_of, numbers, pose_of_matrix
-from sylpose.calibration.shots import Shot, path_of, still_cameras
-from sylpose.numerics.arrays import FloatArray
+from sylpose.calibration.camera_builder import (
+    attribute,
+    make_camera,
+    make_pose,
+    make_rig,
+    matrix_of,
+    numbers,
+    pose_of_matrix,
+)
+from sylpose.calibration.static_cameras import Shot, path_of, still_cameras
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import LensModel, Rig
 
 __all__ = ["is_metashape", "read"]

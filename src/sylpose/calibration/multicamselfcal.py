@@ -15,10 +15,10 @@ import numpy as np
 from scipy.linalg import rq
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.calibration.build import Sizes, make_camera, make_rig, matrix_of, numbers, sizes_of
-from sylpose.calibration.fitted import LENS_PX, Fitted, fitted_lens, grid
-from sylpose.numerics.arrays import FloatArray
-from sylpose.reading import text_of, told
+from sylpose.calibration.camera_builder import Sizes, make_camera, make_rig, matrix_of, numbers, sizes_of
+from sylpose.calibration.lens_conversion import LENS_PX, Fitted, fitted_lens, grid
+from sylpose.geometry.arrays import FloatArray
+from sylpose.input_limits import text_of, told
 from sylpose.rig import Rig
 
 __all__ = ["is_multicamselfcal", "read"]

@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from sylpose.calibration.build import convert, make_camera, make_pose, make_rig
-from sylpose.files import toml_key, toml_string
+from sylpose.atomic_io import toml_key, toml_string
+from sylpose.calibration.camera_builder import convert, make_camera, make_pose, make_rig
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = ["FORMAT", "read", "to_text"]

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sylpose.calibration.build import (
+from sylpose.calibration.camera_builder import (
     Sizes,
     from_opengl,
     make_camera,
@@ -26,8 +26,8 @@ from sylpose.calibration.build import (
     sizes_of,
 )
 from sylpose.calibration.colmap import HALF
-from sylpose.calibration.shots import Shot, path_of, still_cameras
-from sylpose.numerics.arrays import FloatArray
+from sylpose.calibration.static_cameras import Shot, path_of, still_cameras
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import LensModel, Rig
 
 __all__ = ["is_nerf", "read"]

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.calibration.build import attribute, from_opengl, make_camera, make_pose, make_rig
+from sylpose.calibration.camera_builder import attribute, from_opengl, make_camera, make_pose, make_rig
 from sylpose.rig import Camera, Rig
 
 __all__ = ["is_qualisys", "read"]

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.calibration.build import lens_named, make_camera, make_pose, make_rig, numbers, plain
-from sylpose.calibration.content import documents_beside
+from sylpose.calibration.camera_builder import lens_named, make_camera, make_pose, make_rig, numbers, plain
+from sylpose.calibration.sniffing import documents_beside
 from sylpose.rig import Camera, Rig
 
 __all__ = ["is_ros", "read"]

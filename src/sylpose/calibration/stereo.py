@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.calibration.build import Sizes, make_camera, make_pose, make_rig, plain, sizes_of
-from sylpose.calibration.content import beside, plain_of
+from sylpose.calibration.camera_builder import Sizes, make_camera, make_pose, make_rig, plain, sizes_of
 from sylpose.calibration.filestorage import error_of, lens_of, pick, says
+from sylpose.calibration.sniffing import beside, plain_of
 from sylpose.rig import Rig
 
 __all__ = ["is_stereo", "read", "to_text"]

@@ -13,9 +13,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.calibration.build import attribute, make_camera, make_rig, numbers
-from sylpose.calibration.fitted import Fitted, fitted_lens, grid
-from sylpose.numerics.arrays import FloatArray
+from sylpose.calibration.camera_builder import attribute, make_camera, make_rig, numbers
+from sylpose.calibration.lens_conversion import Fitted, fitted_lens, grid
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig
 
 __all__ = ["is_vicon", "read"]

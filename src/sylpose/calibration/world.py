@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.calibration.build import convert, rigid
+from sylpose.atomic_io import replacing, toml_string
+from sylpose.calibration.camera_builder import convert, rigid
 from sylpose.calibration.world_points import standing_at, world_of_points
-from sylpose.files import replacing, toml_string
-from sylpose.numerics.checked import finite, kind_of, number
-from sylpose.reading import parsed_toml, text_of, told
+from sylpose.geometry.validation import finite, kind_of, number
+from sylpose.input_limits import parsed_toml, text_of, told
 from sylpose.rig import MAX_LENGTH, Rig, single_pose
 from sylpose.units import METRES
 

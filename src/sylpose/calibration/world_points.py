@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.checked import shown
-from sylpose.reading import one_line
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.validation import shown
+from sylpose.input_limits import one_line
 from sylpose.rig import MAX_LENGTH, MAX_PX, Rig, nearest_point_to_rays
 from sylpose.units import measured
 

@@ -16,8 +16,8 @@ from sylpose.capture.images import read_mask
 from sylpose.capture.names import IMAGE_SUFFIXES, belongs_to, image_files, image_numbers, match_names
 from sylpose.capture.sources import Source
 from sylpose.frames import Box
-from sylpose.numerics.arrays import BoolArray, IntArray
-from sylpose.reading import parsed_toml, text_of, told
+from sylpose.geometry.arrays import BoolArray, IntArray
+from sylpose.input_limits import parsed_toml, text_of, told
 from sylpose.rig import Rig
 
 __all__ = ["UNNAMED", "Masks", "boxes_in", "check_first_masks", "find_masks", "load_boxes", "object_names"]

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sylpose.capture.assembly import PATIENCE, Tally
+from sylpose.capture.frame_assembly import PATIENCE, Tally
 from sylpose.capture.images import read_image
 from sylpose.capture.names import IMAGE_SUFFIXES, image_files, image_numbers, match_names
 from sylpose.capture.sources import NO_CAMERAS
 from sylpose.frames import FrameSet
-from sylpose.numerics.arrays import Image
-from sylpose.reading import resolved
+from sylpose.geometry.arrays import Image
+from sylpose.input_limits import resolved
 from sylpose.rig import Camera, Rig
 
 __all__ = ["DONE", "Pace", "check_folders", "read_folders"]

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from sylpose.capture.headers import said_size
-from sylpose.numerics.arrays import BoolArray, Image
-from sylpose.reading import MAX_TEXT, Unreadable, bytes_of
+from sylpose.geometry.arrays import BoolArray, Image
+from sylpose.input_limits import MAX_TEXT, Unreadable, bytes_of
 from sylpose.rig import MAX_PIXELS
 
 __all__ = ["image_size", "read_image", "read_mask"]

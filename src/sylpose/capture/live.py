@@ -15,15 +15,15 @@ import msgspec
 import numpy as np
 
 from sylpose import calibration as calibrations
-from sylpose.capture.assembly import Assembler, Tally
 from sylpose.capture.boxes import Masks, find_masks, load_boxes, object_names
+from sylpose.capture.frame_assembly import Assembler, Tally
 from sylpose.capture.growing import Pace, check_folders, read_folders
 from sylpose.capture.names import belongs_to, match_names
 from sylpose.capture.session import SessionBase, any_of, warn
 from sylpose.capture.sources import Source
 from sylpose.capture.streams import PAUSES, Device, open_device, read_streams
 from sylpose.frames import FrameSet
-from sylpose.reading import parsed_toml, text_of, told
+from sylpose.input_limits import parsed_toml, text_of, told
 from sylpose.rig import Rig
 
 __all__ = ["LIVE_FILE", "LiveSession", "is_live", "open_live"]

@@ -16,13 +16,13 @@ import numpy as np
 from sylpose import calibration as calibrations
 from sylpose.calibration.world import World, told_in
 from sylpose.capture.boxes import Masks, check_first_masks, find_masks, load_boxes, object_names
-from sylpose.capture.readers import CameraReader, Reading, check_readable
+from sylpose.capture.frame_readers import CameraReader, Reading, check_readable
 from sylpose.capture.sources import Source, find_sources, sizes_in
 from sylpose.capture.timeline import Timeline, build_timeline, load_timestamps
 from sylpose.frames import Box, FrameSet
-from sylpose.numerics.arrays import BoolArray
-from sylpose.numerics.checked import listed
-from sylpose.reading import told
+from sylpose.geometry.arrays import BoolArray
+from sylpose.geometry.validation import listed
+from sylpose.input_limits import told
 from sylpose.rig import Rig
 
 __all__ = ["Session", "SessionBase", "any_of", "open_session", "warn"]

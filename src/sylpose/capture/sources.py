@@ -14,7 +14,7 @@ from av.video.stream import VideoStream
 
 from sylpose.capture.images import image_size, read_image
 from sylpose.capture.names import image_files, image_numbers, match_names, several_of
-from sylpose.reading import Unreadable, resolved
+from sylpose.input_limits import Unreadable, resolved
 from sylpose.rig import Camera, Rig
 
 __all__ = ["NO_CAMERAS", "VIDEO_SUFFIXES", "Source", "find_sources", "open_video", "sizes_in", "source_of"]

@@ -18,10 +18,10 @@ import numpy as np
 from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
 
-from sylpose.capture.assembly import TICK, Assembler, Grab, Shot
+from sylpose.capture.frame_assembly import TICK, Assembler, Grab, Shot
 from sylpose.capture.sources import ANY_TITLE
 from sylpose.frames import FrameSet
-from sylpose.numerics.arrays import Image
+from sylpose.geometry.arrays import Image
 from sylpose.rig import Camera
 
 __all__ = ["Device", "Grab", "Opener", "open_device", "read_streams"]

@@ -12,8 +12,8 @@ import numpy as np
 
 from sylpose.capture.names import belongs_to
 from sylpose.capture.sources import Source
-from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.reading import MAX_TABLE, text_of, told
+from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.input_limits import MAX_TABLE, text_of, told
 
 __all__ = ["Timeline", "build_timeline", "load_timestamps"]
 

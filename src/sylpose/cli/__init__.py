@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from sylpose import __version__
-from sylpose.cli.asked import app
+from sylpose.cli.common import app
 
 # Loading them gives them to the app, in the order of `--help`.
 from sylpose.cli import track, batch, recordings, studies, results, network, calibrations, objects, poses, doctor  # isort: skip

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import Overlay, RefineCalibration, Seed, Stop, Unit, World, app, examples, fail, one_of, spoken
+from sylpose.cli.common import Overlay, RefineCalibration, Seed, Stop, Unit, World, app, examples, fail, one_of, spoken
 from sylpose.methods import FEATURES, METHODS, features_of
 
 __all__ = ["batch"]
@@ -92,7 +92,7 @@ def batch(
         raise ValueError(f"--stop must be greater than --start ({start}), got {stop}")
     features_of(method, features)
 
-    from sylpose.archive.aloud import batch_aloud, status_aloud
+    from sylpose.archive.batch_command import batch_aloud, status_aloud
     from sylpose.archive.contract import How
     from sylpose.archive.recordings import Options, find_recordings
     from sylpose.archive.stores import place

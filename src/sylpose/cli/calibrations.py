@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import World, WorldFrame, WorldFrom, app, examples, say, spoken
+from sylpose.cli.common import World, WorldFrame, WorldFrom, app, examples, say, spoken
 from sylpose.units import METRES
 
 __all__ = ["convert"]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import app, examples, fail, spoken
+from sylpose.cli.common import app, examples, fail, spoken
 
 __all__ = ["doctor"]
 

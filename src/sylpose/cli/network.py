@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import Seed, app, examples, fail, one_of, spoken
+from sylpose.cli.common import Seed, app, examples, fail, one_of, spoken
 from sylpose.methods import FEATURES, METHODS, MODES, features_of
 
 __all__ = ["demo_of_network", "init", "node", "nodes"]
@@ -109,7 +109,7 @@ def node(
     """
     from sylpose import calibration as calibrations
     from sylpose.app.view import looked_up
-    from sylpose.network.wire import Links
+    from sylpose.network.zenoh_transport import Links
 
     _need_zenoh()
     if calibration is None:
@@ -165,7 +165,7 @@ def nodes(
 ) -> None:
     """The nodes of a network: what they do, with whom, frames, latency, bytes and rounds per frame, clocks."""
     from sylpose.app.node import nodes_aloud
-    from sylpose.network.wire import Links
+    from sylpose.network.zenoh_transport import Links
 
     _need_zenoh()
     if not nodes_aloud(network, Links(listen, tuple(connect or ()), keys), seconds):
@@ -190,14 +190,14 @@ def init(
     Copy ca.pem, CAMERA.pem and CAMERA.key to that camera's machine; ca.key makes further keys and stays here.
     """
     from sylpose import calibration as calibrations
-    from sylpose.app import text
+    from sylpose.app import console_output
     from sylpose.network.keys import make_keys
 
     _need_zenoh()
     rig = calibrations.load(calibration)
     written = make_keys(folder, rig.names, host or ())
     if written:
-        text.print_files(text.make_console(), "Files", written)
+        console_output.print_files(console_output.make_console(), "Files", written)
     else:
         print(f"{folder}: has all keys already")
 

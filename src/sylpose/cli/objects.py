@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import PlotFormat, app, examples, spoken
+from sylpose.cli.common import PlotFormat, app, examples, spoken
 from sylpose.units import METRES
 
 __all__ = ["apply", "frame", "scale", "show"]

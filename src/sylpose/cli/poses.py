@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import (
+from sylpose.cli.common import (
     CalibrationFile,
     CameraFiles,
     PlotFormat,
@@ -77,7 +77,7 @@ def pose(
     or found: markers that are glued to it (AprilTags, ArUco) in a recording. Writes trajectory.tum, trajectory.csv (status,
     uncertainty, inliers and residuals per camera), report.png, report.html and what it was asked for (settings.toml).
     """
-    from sylpose.app import text
+    from sylpose.app import console_output
     from sylpose.app.poses import pose_aloud
 
     run = pose_aloud(
@@ -98,7 +98,7 @@ def pose(
         plot_format=plot_format,
         seed=seed,
     )
-    if not text.solved(run.trajectory):
+    if not console_output.solved(run.trajectory):
         statuses = [frame.status for frame in run.trajectory]
         why = f" {max(statuses, key=statuses.count).text}" if statuses else ""
         fail([f"the object was found in no frame.{why}"])

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import (
+from sylpose.cli.common import (
     BoxesFile,
     Browser,
     CalibrationFile,
@@ -60,7 +60,7 @@ def check(
     Draws the rig from above and from the side into OUT/rig.png; with --world its axes into OUT/world.png.
     """
     from sylpose.app.check import check_aloud
-    from sylpose.app.opening import open_recorded
+    from sylpose.app.session_options import open_recorded
     from sylpose.app.world import asked_world
 
     asked = asked_world(world, world_frame, world_from)
@@ -93,7 +93,7 @@ def box(
     there are. Only this computer can open the page.
     """
     from sylpose.app.box import box_aloud
-    from sylpose.app.opening import open_recorded
+    from sylpose.app.session_options import open_recorded
     from sylpose.capture.live import is_live
 
     if is_live(session):
@@ -134,7 +134,7 @@ def sync(
     seed: Seed = 0,
 ) -> None:
     """How far apart in time the cameras are, from the recorded motion. Writes offsets.toml, which track uses."""
-    from sylpose.app.opening import open_recorded
+    from sylpose.app.session_options import open_recorded
     from sylpose.app.sync import Known, sync_aloud
 
     opened = open_recorded(session, calibration, boxes, masks, None, camera, rate, without=without)

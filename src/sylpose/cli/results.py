@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import PlotFormat, Stop, app, examples, one_of, spoken
+from sylpose.cli.common import PlotFormat, Stop, app, examples, one_of, spoken
 from sylpose.exports.formats import FORMATS
 
 __all__ = ["compare", "export"]

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import Axes, Browser, PlotFormat, Port, Seed, app, examples, fail, spoken
+from sylpose.cli.common import Axes, Browser, PlotFormat, Port, Seed, app, examples, fail, spoken
 
 __all__ = ["demo", "experiments", "report", "show", "view"]
 
@@ -144,8 +144,8 @@ def experiments(
     Writes paper_STUDY.csv and paper_STUDY.png for each study and paper_index.md into OUT, and leaves other files there
     alone.
     """
-    from sylpose.app import text
+    from sylpose.app import console_output
     from sylpose.app.experiments import chosen, run_studies
 
     files = run_studies(chosen(only or []), out, seed=seed, quick=quick)
-    text.print_files(text.make_console(), "Files", files)
+    console_output.print_files(console_output.make_console(), "Files", files)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.asked import (
+from sylpose.cli.common import (
     Axes,
     BoxesFile,
     Browser,
@@ -138,11 +138,11 @@ def track(
     residuals), report.html, report.png and overlay.mp4 into OUT; of several objects, each into a folder of its own.
     Without boxes and masks, the object is what moves against the standing background.
     """
-    from sylpose.app.aloud import track_aloud, why_nothing
     from sylpose.app.check import axes_miss, concerns
     from sylpose.app.object_files import known_objects
-    from sylpose.app.opening import open_asked
     from sylpose.app.run import has_ended, output_path
+    from sylpose.app.session_options import open_asked
+    from sylpose.app.track_command import track_aloud, why_nothing
     from sylpose.app.world import asked_world
     from sylpose.sync.offsets import find_offsets
 

@@ -20,12 +20,19 @@ from sylpose.experiments.figures import draw_bars, draw_lines
 from sylpose.experiments.scenes import BALANCED, PRACTICE, Problem, around, simulate
 from sylpose.experiments.study import Study, score
 from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table, error_columns, quartiles
-from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.distributed.messages import Inbox, Packet
-from sylpose.paper.distributed.refine import RefineState, refine_start, refine_step
-from sylpose.paper.distributed.simulated import Agreement, Disturbances, run, solve_exchange, solve_gossip, solve_refine
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import arc
+from sylpose.sylvester.distributed.messages import Inbox, Packet
+from sylpose.sylvester.distributed.refine import RefineState, refine_start, refine_step
+from sylpose.sylvester.distributed.simulation import (
+    Agreement,
+    Disturbances,
+    run,
+    solve_exchange,
+    solve_gossip,
+    solve_refine,
+)
 
 __all__ = ["STUDIES"]
 

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sylpose.experiments.scenes import Problem
-from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.bad_cameras import RobustSolution, solve_robust
-from sylpose.paper.centralized import solve_centralized
-from sylpose.paper.depth_plane import solve_depth_plane
-from sylpose.paper.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
-from sylpose.paper.orthographic import quadratic_of, views_of
+from sylpose.geometry.arrays import FloatArray
+from sylpose.sylvester.camera_faults import RobustSolution, solve_robust
+from sylpose.sylvester.centralized import solve_centralized
+from sylpose.sylvester.depth_plane import solve_depth_plane
+from sylpose.sylvester.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
+from sylpose.sylvester.orthographic import quadratic_of, views_of
 
 __all__ = [
     "Answer",

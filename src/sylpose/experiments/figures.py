@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from sylpose.experiments.table import Table
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.report.plots import INK, finish, new_figure, save_figure
 
 __all__ = ["THE_TURN", "Reference", "draw_bars", "draw_lines"]

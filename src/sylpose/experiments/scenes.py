@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
-from sylpose.numerics.arrays import FloatArray
 from sylpose.rig import Rig, camera_at
 from sylpose.simulate import Body, box, cloud, ellipsoid, plane, random_motion, ring, simulate_matches
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 
 __all__ = ["ERROR_COLUMNS", "Cell", "Table", "error_columns", "quartiles"]
 

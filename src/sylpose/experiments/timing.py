@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from sylpose.experiments.figures import Reference, draw_lines
 from sylpose.experiments.study import Study
 from sylpose.experiments.table import Table, quartiles
+from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
-from sylpose.numerics.arrays import FloatArray
-from sylpose.paper.centralized import solve_centralized
+from sylpose.sylvester.centralized import solve_centralized
 
 __all__ = ["STUDIES", "Fit", "straight_line"]
 

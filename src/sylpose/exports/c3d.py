@@ -7,8 +7,8 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 
+from sylpose.atomic_io import replacing
 from sylpose.exports.poses import Poses
-from sylpose.files import replacing
 
 __all__ = ["write_c3d"]
 

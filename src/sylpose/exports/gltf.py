@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sylpose.atomic_io import replacing
 from sylpose.exports.poses import UP_UNKNOWN, Poses, runs_of
-from sylpose.files import replacing
 
 __all__ = ["write_gltf"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from sylpose.files import replacing
+from sylpose.atomic_io import replacing
 from sylpose.report.tables import columns_of
 from sylpose.results import Trajectory
 

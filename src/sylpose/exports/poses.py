@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.results import Trajectory
 from sylpose.units import METRES
 

@@ -10,8 +10,8 @@ import numpy as np
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from sylpose.atomic_io import beside, output_folder, writing
 from sylpose.exports.poses import Poses
-from sylpose.files import beside, output_folder, writing
 
 __all__ = ["write_rosbag"]
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sylpose.atomic_io import replacing
 from sylpose.exports.poses import UP_UNKNOWN, Poses, runs_of
-from sylpose.files import replacing
 from sylpose.report.tables import columns_of
 from sylpose.results import Trajectory
 

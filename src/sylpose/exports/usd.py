@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
+from sylpose.atomic_io import replacing
 from sylpose.exports.poses import UP_UNKNOWN, Poses
-from sylpose.files import replacing
 from sylpose.units import METRES
 
 __all__ = ["write_usd"]

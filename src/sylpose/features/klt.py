@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
-from sylpose.numerics.compiled import kernel
+from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.geometry.numba_linalg import kernel
 
 __all__ = ["Patches", "Tracks", "advance", "begin", "evened", "grey"]
 

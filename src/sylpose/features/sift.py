@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.matches import STILL_PX
-from sylpose.numerics.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.rig import Camera
 
 __all__ = [

@@ -17,7 +17,8 @@ its pose against theirs, a smooth function without a cliff. Should they disagree
 poses so found the one is taken that all cameras but one agree on best.
 
 Each round is one camera's part (`camera_terms`), which needs that camera's matches alone, and a joint step (`joint_step`),
-which needs a few numbers from each: `align` runs both in one process, `landmarks.one_of_many` one camera among others that
+which needs a few numbers from each: `align` runs both in one process, `landmarks.distributed_alignment` one camera
+among others that
 are elsewhere.
 """
 
@@ -29,6 +30,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.numba_linalg import kernel
 from sylpose.landmarks.camera_terms import (
     Own,
     Stacked,
@@ -39,9 +42,7 @@ from sylpose.landmarks.camera_terms import (
     take_step,
 )
 from sylpose.landmarks.joint_step import MAX_ROUNDS, Round, first_round, joint_step, measures_noise
-from sylpose.landmarks.told import Judges
-from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.numerics.compiled import kernel
+from sylpose.landmarks.messages import Judges
 
 __all__ = [
     "FIRST_PX",

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.numerics.compiled import kernel
-from sylpose.numerics.normal_equations import add_turned, eliminate, image_row, turn_rows
-from sylpose.numerics.robust import SIGMA_OF_MEDIAN, bisquare
+from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.normal_equations import add_turned, eliminate, image_row, turn_rows
+from sylpose.geometry.numba_linalg import kernel
+from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN, bisquare
 
 __all__ = [
     "CUTOFF",

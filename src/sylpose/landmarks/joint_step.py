@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.compiled import cholesky, cholesky_solve, kernel, solve_factored, turn_by
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.numba_linalg import cholesky, cholesky_solve, kernel, solve_factored, turn_by
 
 __all__ = ["MAX_ROUNDS", "Round", "first_round", "joint_step", "measures_noise"]
 

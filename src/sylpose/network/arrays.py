@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sylpose.numerics.arrays import IntArray
+from sylpose.geometry.arrays import IntArray
 
 __all__ = ["array_packed", "array_unpacked"]
 

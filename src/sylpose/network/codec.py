@@ -1,4 +1,4 @@
-"""Records of numbers as bytes, and back: what cameras tell each other (`tracking.records`) on a wire.
+"""Records of numbers as bytes, and back: what cameras tell each other (`tracking.reports`) on a wire.
 
 MessagePack; a record is its number in `RECORDS` and its fields in order, an array its numbers in as few bytes as keep
 them all (`network.arrays`).
@@ -15,17 +15,18 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.geometry.record_validation import Shapes, check_shapes, fields_of, typed
 from sylpose.landmarks.alignment import Sights
-from sylpose.landmarks.told import Judges, Says
+from sylpose.landmarks.messages import Judges, Says
 from sylpose.network.arrays import array_packed, array_unpacked
-from sylpose.network.roll import Roll
-from sylpose.numerics.fields import Shapes, check_shapes, fields_of, typed
-from sylpose.tracking.anchor import Anchor
+from sylpose.network.frame_announcement import Roll
+from sylpose.relative_pose.terms import TermData
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.handover import Handover, Waited
-from sylpose.tracking.joint import Joint, Nudge
+from sylpose.tracking.joint_state import Joint, Nudge
+from sylpose.tracking.klt_frontend import Anchor
+from sylpose.tracking.motion_model import Velocity
 from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.records import (
+from sylpose.tracking.reports import (
     Ages,
     Agreed,
     Chance,
@@ -38,8 +39,7 @@ from sylpose.tracking.records import (
     Sighted,
     Stance,
 )
-from sylpose.tracking.velocity import Velocity
-from sylpose.two_frames.terms import TermData
+from sylpose.tracking.state_transfer import Handover, Waited
 
 __all__ = ["LARGEST", "RECORDS", "packed", "unpacked"]
 

@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from sylpose.files import output_folder, replacing
+from sylpose.atomic_io import output_folder, replacing
 
 __all__ = ["LISTENER", "access_rules", "make_keys", "tls_settings"]
 

@@ -10,18 +10,18 @@ import numpy as np
 
 from sylpose.frames import Box, FrameSet
 from sylpose.landmarks.alignment import Sights, Start
-from sylpose.landmarks.one_of_many import OneOfMany
+from sylpose.landmarks.distributed_alignment import OneOfMany
 from sylpose.methods import FEATURES, METHODS, MODES
 from sylpose.network.codec import packed, unpacked
-from sylpose.network.presence import Answer, Ask, Enter, Heard, Tell
-from sylpose.network.roll import ABSENT, NO_FRAME, WAITS, Roll, common, instant_of
-from sylpose.network.sound import objection
+from sylpose.network.frame_announcement import ABSENT, NO_FRAME, WAITS, Roll, common, instant_of
+from sylpose.network.membership import Answer, Ask, Enter, Heard, Tell
+from sylpose.network.plausibility import objection
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
-from sylpose.tracking.crew import Alignment
+from sylpose.tracking.camera_executor import Alignment
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.handover import Handover, check_handover
-from sylpose.tracking.joint import Joint
+from sylpose.tracking.joint_state import Joint
+from sylpose.tracking.state_transfer import Handover, check_handover
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracking
 
@@ -68,12 +68,12 @@ class Shots(Protocol):
 
 
 class Node:
-    """A crew of which one camera is here (`tracking.crew.Crew`).
+    """A crew of which one camera is here (`tracking.camera_executor.Crew`).
 
     Args:
         camera: which one, of so many cameras of the rig.
-        ask: of the node's presence among the others (`network.presence`), with the number of frames tracked.
-        mode: of `MODES`: as in one process, or in fewer rounds (`landmarks.one_of_many`), the same at all cameras.
+        ask: of the node's presence among the others (`network.membership`), with the number of frames tracked.
+        mode: of `MODES`: as in one process, or in fewer rounds (`landmarks.distributed_alignment`), the same at all cameras.
 
     Attributes:
         camera, cameras: as given.

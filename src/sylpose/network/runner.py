@@ -8,9 +8,9 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 
-from sylpose.network.presence import Present, answer, asked, present_step, silenced
-from sylpose.network.talk import Talk, Work
-from sylpose.paper.distributed.messages import Packet
+from sylpose.network.membership import Present, answer, asked, present_step, silenced
+from sylpose.network.worker_thread import Talk, Work
+from sylpose.sylvester.distributed.messages import Packet
 
 __all__ = ["TICK", "Runner"]
 

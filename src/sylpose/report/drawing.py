@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.numerics.arrays import FloatArray, Image, IntArray
+from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.rig import Camera
 
 __all__ = [

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.files import beside, output_folder, replacing, writing
-from sylpose.numerics.angles import Angles
-from sylpose.numerics.arrays import FloatArray
-from sylpose.reading import MAX_TABLE, text_of, told
+from sylpose.atomic_io import beside, output_folder, replacing, writing
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.euler_angles import Angles
+from sylpose.input_limits import MAX_TABLE, text_of, told
 from sylpose.report.tables import COLUMNS, PER_CAMERA, POSE_COLUMNS, SD_COLUMNS, continued
 from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
 

@@ -16,9 +16,9 @@ import numpy as np
 from av.codec.codec import UnknownCodecError
 from av.video.reformatter import Colorspace
 
-from sylpose.files import writing
-from sylpose.numerics.arrays import FloatArray, Image
-from sylpose.report.disagreement import DOUBTED, noisy
+from sylpose.atomic_io import writing
+from sylpose.geometry.arrays import FloatArray, Image
+from sylpose.report.camera_consistency import DOUBTED, noisy
 from sylpose.report.drawing import (
     DARK,
     GREY,

@@ -19,13 +19,13 @@ from string import Template
 from typing import Any
 from urllib.parse import quote
 
-from sylpose.files import replacing
-from sylpose.numerics.angles import Angles
-from sylpose.reading import SENTENCE, one_line
-from sylpose.report.disagreement import remarks
+from sylpose.atomic_io import replacing
+from sylpose.geometry.euler_angles import Angles
+from sylpose.input_limits import SENTENCE, one_line
+from sylpose.report.camera_consistency import remarks
+from sylpose.report.failure_reasons import why_nothing
 from sylpose.report.page_data import data_of, images_of
 from sylpose.report.plots import summary
-from sylpose.report.reasons import why_nothing
 from sylpose.report.scene import Scene
 from sylpose.results import Observable, Trajectory
 from sylpose.rig import Rig

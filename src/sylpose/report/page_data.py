@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.numerics.angles import Angles
-from sylpose.numerics.arrays import FloatArray, IntArray
+from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.euler_angles import Angles
 from sylpose.report.plots import X_COLOR, Y_COLOR, Z_COLOR, angle_labels, angles_of_frames, camera_colors, readable
 from sylpose.report.scene import GRID, Scene, Stills
 from sylpose.results import FramePose, FrameStatus, Trajectory

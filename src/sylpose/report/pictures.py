@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sylpose.numerics.arrays import FloatArray, Image
+from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.report.drawing import in_colour, project
 from sylpose.rig import Camera
 

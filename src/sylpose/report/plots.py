@@ -16,11 +16,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from sylpose.files import replacing
-from sylpose.numerics.angles import PAN_TILT_ROLL, Angles
-from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.report.disagreement import disagreements, remarks
-from sylpose.report.reasons import why_nothing
+from sylpose.atomic_io import replacing
+from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.euler_angles import PAN_TILT_ROLL, Angles
+from sylpose.report.camera_consistency import disagreements, remarks
+from sylpose.report.failure_reasons import why_nothing
 from sylpose.results import FrameStatus, Observable, Trajectory
 
 __all__ = [

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 from numpy.typing import ArrayLike
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.report.plots import INK, camera_colors, new_figure, save_figure
 from sylpose.rig import Camera, Rig, nearest_point_to_rays
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.report.plots import camera_colors
 from sylpose.report.rigview import meeting_point, view_axes
 from sylpose.results import Trajectory

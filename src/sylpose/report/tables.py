@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.results import Trajectory
 
 __all__ = ["COLUMNS", "PER_CAMERA", "POSE_COLUMNS", "SD_COLUMNS", "columns_of", "continued", "dataframe"]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.checked import finite, truth, whole
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.validation import finite, truth, whole
 
 # Points of a body, and its longest and inverse shortest side: more is no body (choice).
 MOST_POINTS, LONGEST = 10**7, 1e9

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig, nearest_point_to_rays
-from sylpose.simulate.files import FRAME_RATE, session_folder, write_boxes, write_truth, write_videos
+from sylpose.simulate.recording_files import FRAME_RATE, session_folder, write_boxes, write_truth, write_videos
 from sylpose.simulate.render import Actor, Scene, chamfered_box, render_frames
 from sylpose.simulate.rigs import arc
 

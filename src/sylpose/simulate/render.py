@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.numerics.arrays import FloatArray, FloatImage, Image, IntArray
+from sylpose.geometry.arrays import FloatArray, FloatImage, Image, IntArray
 from sylpose.rig import Camera, Rig
 from sylpose.simulate.textures import FACE_HUES, face_texture, room
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.checked import finite, number, real, whole
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.validation import finite, number, real, whole
 from sylpose.rig import MAX_LENGTH, Rig, camera_at
 
 MOST_CAMERAS = 10_000  # of a rig (choice)

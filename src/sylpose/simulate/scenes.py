@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.validation import finite, kind_of, listed, number, one_of, shown, truth, whole
+from sylpose.input_limits import one_line
 from sylpose.matches import Matches
-from sylpose.numerics.arrays import BoolArray, FloatArray
-from sylpose.numerics.checked import finite, kind_of, listed, number, one_of, shown, truth, whole
-from sylpose.reading import one_line
 from sylpose.rig import MAX_LENGTH, MAX_PX, Camera, Rig, single_pose
 from sylpose.simulate.bodies import Body
 

@@ -10,10 +10,17 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from sylpose.files import replacing
-from sylpose.numerics.arrays import BoolArray, FloatArray, Image
+from sylpose.atomic_io import replacing
+from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.simulate.demo import demo_truth
-from sylpose.simulate.files import FRAME_RATE, session_folder, suffixes, write_boxes, write_truth, write_videos
+from sylpose.simulate.recording_files import (
+    FRAME_RATE,
+    session_folder,
+    suffixes,
+    write_boxes,
+    write_truth,
+    write_videos,
+)
 from sylpose.simulate.render import Actor, Scene, render_frames
 from sylpose.simulate.render import Path as Motion
 

@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sylpose.numerics.arrays import FloatArray, FloatImage, Image
+from sylpose.geometry.arrays import FloatArray, FloatImage, Image
 
 __all__ = ["face_texture", "room"]
 

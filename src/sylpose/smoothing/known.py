@@ -7,7 +7,7 @@ import numpy as np
 from sylpose.results import FramePose, FrameStatus
 from sylpose.rig import Rig
 from sylpose.smoothing.trajectory import Track
-from sylpose.tracking.known_here import KnownHere
+from sylpose.tracking.object_transfer import KnownHere
 from sylpose.tracking.tracked_frame import Sightings
 
 __all__ = ["tracks_of"]

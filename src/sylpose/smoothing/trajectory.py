@@ -14,19 +14,19 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, RotationSpline
 
-from sylpose.adjustment.bundle import Bundled, Observations
-from sylpose.adjustment.calibration import MOVED_SHARE, Correction, Doubt, Moved, apart, with_moved
-from sylpose.adjustment.given_up import given_up
-from sylpose.adjustment.sized import bundle_sized, length_is_open
-from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
-from sylpose.numerics.checked import kind_of, listed, number, shown, truth, whole
+from sylpose.bundle_adjustment.bundle import Bundled, Observations
+from sylpose.bundle_adjustment.calibration_refinement import MOVED_SHARE, Correction, Doubt, Moved, apart, with_moved
+from sylpose.bundle_adjustment.lost_frames import given_up
+from sylpose.bundle_adjustment.scale_prior import bundle_sized, length_is_open
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.validation import kind_of, listed, number, shown, truth, whole
 from sylpose.results import FramePose, Observable, Status
 from sylpose.rig import Rig
-from sylpose.tracking.far_frames import another_path
-from sylpose.tracking.joint import Nudge
+from sylpose.tracking.joint_state import Nudge
 from sylpose.tracking.keyframes import inherited
-from sylpose.tracking.records import placed
+from sylpose.tracking.reports import placed
 from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
+from sylpose.tracking.wide_baseline_init import another_path
 
 __all__ = ["Smoothed", "Track", "smooth"]
 

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 from sylpose.capture.names import belongs_to
-from sylpose.reading import parsed_toml, text_of, told
-from sylpose.sync.pulses import split_offsets
+from sylpose.input_limits import parsed_toml, text_of, told
+from sylpose.sync.speed_correlation import split_offsets
 
 __all__ = ["OFFSETS_FILE", "find_offsets", "load_offsets", "retimed"]
 

@@ -14,12 +14,12 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import ALL_FEATURES, MAX_FEATURES, Features, detect, seen_before
-from sylpose.landmarks.places import Landmarks, learn_landmarks
-from sylpose.landmarks.table import LandmarkTable
+from sylpose.geometry.arrays import BoolArray, FloatArray, Image
+from sylpose.landmarks.landmark_filter import Landmarks, learn_landmarks
+from sylpose.landmarks.landmark_table import LandmarkTable
 from sylpose.matches import STILL_PX
-from sylpose.numerics.arrays import BoolArray, FloatArray, Image
 from sylpose.rig import Camera
-from sylpose.tracking.anchor import CameraAnchor, Followed, Renewal, begin_anchor, follow, gone_on
+from sylpose.tracking.camera_motion_detection import View, Watch
 from sylpose.tracking.frame import (
     CameraFrame,
     Pair,
@@ -30,9 +30,9 @@ from sylpose.tracking.frame import (
     pair_near,
     standing,
 )
+from sylpose.tracking.klt_frontend import CameraAnchor, Followed, Renewal, begin_anchor, follow, gone_on
 from sylpose.tracking.region import polygon_mask
-from sylpose.tracking.seen_again import KNOWN_DEPTH, SeenAgain
-from sylpose.tracking.watch import View, Watch
+from sylpose.tracking.reobserved import KNOWN_DEPTH, SeenAgain
 
 __all__ = ["CameraPart", "is_large", "still_of"]
 

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features, match_features, match_where_expected
-from sylpose.landmarks.places import Landmarks
-from sylpose.landmarks.table import LandmarkTable
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.landmarks.landmark_filter import Landmarks
+from sylpose.landmarks.landmark_table import LandmarkTable
 from sylpose.matches import STILL_PX
-from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.relative_pose.terms import TermData
 from sylpose.rig import Camera
-from sylpose.two_frames.terms import TermData
 
 __all__ = [
     "CameraFrame",

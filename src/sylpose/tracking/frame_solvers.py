@@ -9,17 +9,21 @@ from functools import partial
 import numpy as np
 from scipy.linalg import block_diag
 
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.rigid import rotvec
 from sylpose.landmarks.alignment import FIRST_PX, Sights
-from sylpose.landmarks.alike import chosen, doubted
-from sylpose.numerics.arrays import FloatArray
-from sylpose.numerics.rigid import rotvec
-from sylpose.paper.known_depth import solve_2d3d
+from sylpose.landmarks.hypothesis_selection import chosen, doubted
+from sylpose.relative_pose.fit import MIN_MATCHES, Fit, no_fit
+from sylpose.relative_pose.observability import more_than_chance
+from sylpose.relative_pose.solver import fit_terms
+from sylpose.relative_pose.sylvester_methods import ESTIMATORS, UNBIASED, paper_fit
+from sylpose.relative_pose.terms import TermData
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.tracking.crew import Crew
+from sylpose.sylvester.known_depth import solve_2d3d
+from sylpose.tracking.camera_executor import Crew
 from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, base_from_reference
-from sylpose.tracking.records import Ages, Chance, Known, total_ages
-from sylpose.tracking.sights import (
+from sylpose.tracking.observations import (
     STILL_TRUST,
     ages_of,
     chance_of,
@@ -30,11 +34,7 @@ from sylpose.tracking.sights import (
     usual_age,
     with_trust,
 )
-from sylpose.two_frames.fit import MIN_MATCHES, Fit, no_fit
-from sylpose.two_frames.paper_methods import ESTIMATORS, UNBIASED, paper_fit
-from sylpose.two_frames.solver import fit_terms
-from sylpose.two_frames.terms import TermData
-from sylpose.two_frames.verdict import more_than_chance
+from sylpose.tracking.reports import Ages, Chance, Known, total_ages
 
 __all__ = ["SOLVERS", "Agreement", "Problem", "Solution", "dealt", "gathered"]
 

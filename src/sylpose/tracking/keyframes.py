@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.rig import Rig
 from sylpose.tracking.frame import SolvedFrame
 

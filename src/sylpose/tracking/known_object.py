@@ -9,16 +9,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.display import Telling, Told, length, named
 from sylpose.features.sift import Features
-from sylpose.landmarks.places import Landmarks
-from sylpose.numerics.arrays import FloatArray, IntArray
-from sylpose.numerics.checked import finite, kind_of, number
-from sylpose.reading import one_line
+from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.validation import finite, kind_of, number
+from sylpose.input_limits import one_line
+from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.rig import MAX_LENGTH, Rig, single_pose
-from sylpose.told import Telling, Told, length, named
 from sylpose.tracking.camera import CameraPart
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint import Joint
+from sylpose.tracking.joint_state import Joint
 from sylpose.units import FIRST_DISTANCES
 
 __all__ = ["FEWEST", "CameraMemory", "KnownObject", "ObjectFrame", "learnt_of"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sylpose.frames import Box
-from sylpose.numerics.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.tracking.region import volume_from_boxes
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from sylpose.frames import Box
-from sylpose.numerics.arrays import BoolArray, FloatArray
+from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.rig import Camera, Rig, nearest_point_to_rays
 
 __all__ = ["polygon_mask", "region_polygon", "volume_from_boxes"]

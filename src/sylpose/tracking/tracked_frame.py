@@ -10,12 +10,12 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
-from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.relative_pose.fit import MIN_MATCHES
 from sylpose.results import FramePose, FrameStatus
+from sylpose.tracking.context import Team
 from sylpose.tracking.frame import CameraFrame, Pair, Sought, sought_in
-from sylpose.tracking.joint import Nudge
-from sylpose.tracking.team import Team
-from sylpose.two_frames.fit import MIN_MATCHES
+from sylpose.tracking.joint_state import Nudge
 
 __all__ = ["Sightings", "TrackedFrame", "looks", "shown", "sightings", "unsolved_frame", "why_none"]
 

@@ -11,22 +11,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sylpose.frames import Box, FrameSet, check_frames
+from sylpose.geometry.validation import kind_of, number, shown, whole
+from sylpose.input_limits import one_line
 from sylpose.methods import FEATURES, METHODS, features_of
-from sylpose.numerics.checked import kind_of, number, shown, whole
-from sylpose.reading import one_line
 from sylpose.rig import Rig
 from sylpose.tracking.camera import CameraPart
-from sylpose.tracking.crew import Crew, OneProcess
+from sylpose.tracking.camera_executor import Crew, OneProcess
+from sylpose.tracking.camera_motion_correction import with_nudges
+from sylpose.tracking.context import Team
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.frame_solvers import SOLVERS
-from sylpose.tracking.handover import Handover, handed_over, taken_over
-from sylpose.tracking.joint import Joint
-from sylpose.tracking.known_here import KnownHere, begun_with, known_here
+from sylpose.tracking.joint_state import Joint
 from sylpose.tracking.known_object import KnownObject, learnt_of
-from sylpose.tracking.nudges import with_nudges
 from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.phases import Waiting, finish, next_frame
-from sylpose.tracking.team import Team
+from sylpose.tracking.object_transfer import KnownHere, begun_with, known_here
+from sylpose.tracking.state_machine import Waiting, finish, next_frame
+from sylpose.tracking.state_transfer import Handover, handed_over, taken_over
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 MAX_LATE = 1e6  # seconds: cameras of one recording are not days apart (choice)

@@ -1,7 +1,8 @@
 """The window: the most telling solved frames, refined together while tracking goes on.
 
 A frame's pose is found against earlier ones, whose errors it takes over. Every now and then the keyframes and the last
-frames are refined jointly (`adjustment.bundle`), with the landmarks that several of them see: what they got wrong at first,
+frames are refined jointly (`bundle_adjustment.bundle`), with the landmarks that several of them see: what they got
+wrong at first,
 a length that only a later turn tells, and the drift up to a side that is seen again, go out of all of them. What is later
 found against them is as good.
 """
@@ -14,19 +15,19 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.adjustment.bundle import Bundled, Observations
-from sylpose.adjustment.sized import SMALL_TURN, bundle_sized, length_is_open
-from sylpose.numerics.arrays import BoolArray, FloatArray, IntArray
-from sylpose.numerics.later import Later
-from sylpose.numerics.rigid import turn_between
+from sylpose.bundle_adjustment.bundle import Bundled, Observations
+from sylpose.bundle_adjustment.scale_prior import SMALL_TURN, bundle_sized, length_is_open
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.future import Later
+from sylpose.geometry.rigid import turn_between
 from sylpose.results import UNCERTAIN_TURN, Status
 from sylpose.rig import Rig
-from sylpose.tracking.far_frames import another_path
+from sylpose.tracking.context import Team
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint import Joint, Refinement
+from sylpose.tracking.joint_state import Joint, Refinement
 from sylpose.tracking.keyframes import inherited, nearest_views, viewpoints
-from sylpose.tracking.records import Seen, placed
-from sylpose.tracking.team import Team
+from sylpose.tracking.reports import Seen, placed
+from sylpose.tracking.wide_baseline_init import another_path
 
 __all__ = ["at_least", "bundled_together", "finished", "is_due", "refined"]
 

@@ -1,0 +1,145 @@
+"""Frames of one camera for a node: numbered by the clock where it is live, by the file where it is played."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sylpose.app.frame_source import Live, Played
+from sylpose.capture.frame_assembly import Grab
+from sylpose.capture.sources import source_of
+from sylpose.network.frame_announcement import NO_FRAME, WAITS, Roll, common, instant_of
+from sylpose.simulate import render_sequence
+from sylpose.simulate.rigs import ring
+
+RIG = ring(3)
+SIZE = RIG.cameras[1].size
+RATE = 20.0
+
+
+class Device:
+    """Gives a frame whenever it is told to."""
+
+    def __init__(self) -> None:
+        self.go, self.asked, self.gone = threading.Semaphore(0), threading.Semaphore(0), ""
+        self.given = 0
+        self.size = SIZE
+
+    def give(self) -> None:
+        """Until it is taken: the next one is asked for."""
+        assert self.asked.acquire(timeout=60)
+        self.go.release()
+        assert self.asked.acquire(timeout=60)
+        self.asked.release()
+
+    def read(self) -> Grab | None:
+        self.asked.release()
+        self.go.acquire()
+        if self.gone == "ends":
+            return None
+        if self.gone:
+            raise OSError(self.gone)
+        self.given += 1
+        return Grab(self.size, lambda: np.full((*SIZE[::-1], 3), self.given, np.uint8))
+
+    def close(self) -> None:
+        self.gone = "ends"
+        self.go.release()
+
+
+@pytest.fixture
+def device() -> Device:
+    return Device()
+
+
+@pytest.fixture
+def live(device: Device) -> Live:
+    return Live(1, RIG.cameras[1], 0, RATE, lambda *_: device)
+
+
+def test_live_frames_are_numbered_by_the_clock(live: Live, device: Device) -> None:
+    before = time.time()
+    device.give()
+    number, stamp = live.newest(0)
+    assert stamp is not None
+    assert before <= stamp <= time.time()
+    assert number == round(stamp * RATE)
+    # The next one is another frame's time later, and there is none yet.
+    assert live.newest(number + 1) == (WAITS, None)
+    time.sleep(1.5 / RATE)
+    device.give()
+    later, _ = live.newest(number + 1)
+    assert later > number
+    # Both are there until all agree on which one is next.
+    times = (stamp + 0.001, live.time_of(number), None)
+    frames = live.frame_set(number, times)
+    assert frames.index == number
+    assert frames.times == times
+    assert frames.time == pytest.approx(stamp + 0.0005, abs=1e-6)
+    assert frames.images[0] is None
+    assert frames.images[1] is not None
+    assert frames.images[1][0, 0, 0] == 1
+    missed = live.frame_set(number - 7, (None, None, None))
+    assert missed.images == (None, None, None)
+    assert missed.time == pytest.approx((number - 7) / RATE)
+    live.close()
+    assert live.newest(later + 1) == (NO_FRAME, None)
+
+
+@pytest.mark.parametrize("how", ["broke", "size"])
+def test_a_live_camera_that_fails_says_why(live: Live, device: Device, how: str) -> None:
+    if how == "broke":
+        device.gone = "the cable is out"
+    else:
+        device.size = (8, 6)
+    device.go.release()
+    deadline = time.monotonic() + 60
+    with pytest.raises(ValueError, match="0: the cable is out" if how == "broke" else "0: images of 8x6"):  # noqa: PT012
+        while time.monotonic() < deadline:
+            live.newest(0)
+            time.sleep(0.01)
+
+
+def test_a_recording_is_played_at_its_speed_and_whole(tmp_path: Path) -> None:
+    truth = render_sequence(tmp_path, frames=6, turn_deg=5, n_cameras=2, seed=0)
+    from sylpose import calibration
+
+    rig = calibration.load(tmp_path / "calibration.toml")
+    source = source_of(tmp_path / "cam_1.mp4", rig.cameras[1])
+    shots, begun = Played(1, source, speed=1.0), time.monotonic()
+    taken = []
+    for number in range(6):
+        assert shots.newest(number) == (number, number / 30)
+        frames = shots.frame_set(number, (number / 30, number / 30))
+        taken.append(time.monotonic() - begun)
+        assert (frames.index, frames.time) == (number, number / 30)
+        assert frames.images[0] is None
+        assert frames.images[1] is not None
+    assert shots.newest(6) == (NO_FRAME, None)
+    assert taken[-1] > 5 / 30
+    assert len(truth.world_from_object) == 6
+    shots.close()
+    with pytest.raises(FileNotFoundError, match="no such file or folder"):
+        source_of(tmp_path / "cam_7.mp4", rig.cameras[1])
+
+
+def roll(newest: int, *newcomers: int) -> Roll:
+    return Roll(newest, 0.0, newcomers, False, True)
+
+
+def test_the_next_frame_is_one_that_half_of_the_cameras_have() -> None:
+    assert instant_of([roll(7), roll(7), roll(7)], 7) == 7
+    assert instant_of([roll(7), roll(8), roll(8)], 7) == 8
+    assert instant_of([roll(7), roll(7), roll(8), roll(NO_FRAME)], 7) == 7
+    assert instant_of([roll(WAITS), roll(8), roll(NO_FRAME)], 7) == 8
+    assert instant_of([roll(WAITS), roll(NO_FRAME)], 7) == WAITS
+    assert instant_of([roll(NO_FRAME), roll(NO_FRAME)], 7) == NO_FRAME
+
+
+def test_only_whom_all_hear_is_taken_in() -> None:
+    assert common([roll(0, 3, 5), roll(0, 5, 6)]) == {5}
+    assert common([roll(0, 3), roll(0)]) == set()

@@ -1,0 +1,68 @@
+"""Work that is no tracking: what workers do with a recording in these tests is said by the file `do` in it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+from sylpose.archive.contract import How, Summary
+from sylpose.archive.recordings import Options, Recording, find_recordings
+
+HOW = How(run="a", work="tests.archive.archive_worker:obey")
+
+
+def recordings_in(folder: Path, **orders: str) -> list[Recording]:
+    """Recordings of these names, and what is to be done with them."""
+    for name, order in orders.items():
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        (folder / name / "do").write_text(order)
+        (folder / name / "calibration.toml").touch()
+        (folder / name / "cam_0.mp4").touch()
+    return list(find_recordings([str(folder)], Options()).recordings)
+
+
+def times_worked(folder: Path, name: str) -> int:
+    log = folder / name / "sylpose" / "log"
+    return len(log.read_text()) if log.exists() else 0
+
+
+def obey(recording: Recording, folder: Path, threads: int) -> Summary:
+    """Writes two files, unless the order is something else; each time leaves a mark."""
+    source = Path(recording.url)
+    order, _, rest = (source / "do").read_text().partition(" ")
+    (source / "sylpose").mkdir(exist_ok=True)  # not among the inputs
+    (source / "sylpose" / "parent").write_text(str(os.getppid()))
+    (source / "sylpose" / "pid").write_text(str(os.getpid()))
+    with (source / "sylpose" / "log").open("a") as log:
+        log.write(".")
+    first = (source / "sylpose" / "log").stat().st_size == 1
+    (folder / "results" / "half").write_text("")
+    if order == "die" or (order == "die-once" and first):
+        os.kill(os.getpid(), signal.SIGKILL)
+    elif order == "exit":
+        os._exit(3)
+    elif order == "sleep" or (order == "sleep-once" and first):
+        time.sleep(float(rest))
+    elif order == "wait":  # for a file, not for long where a test has failed
+        deadline = time.monotonic() + 60
+        while not Path(rest).exists() and time.monotonic() < deadline:
+            time.sleep(0.02)
+    elif order == "io" or (order == "io-once" and first):
+        raise OSError("the disk is on strike")
+    elif order == "wrong":
+        raise ValueError("cam_0 is upside down")
+    elif order == "bug":
+        raise IndexError("off by one")
+    elif order == "memory":
+        np.ones(int(rest), np.uint8)
+    elif order == "interrupt":
+        raise KeyboardInterrupt
+    (folder / "results" / "half").unlink()
+    (folder / "results" / "mug").mkdir()
+    (folder / "results" / "mug" / "trajectory.csv").write_text(f"{recording.name} {recording.options.seed}")
+    (folder / "results" / "threads").write_text(f"{threads} {os.environ.get('OPENBLAS_NUM_THREADS')}")
+    return Summary(status="done", frames=7, coverage=0.5, faults=("cam_1 was moved",))

@@ -1,0 +1,477 @@
+"""Bad cameras: found, named with what is wrong, left out; good ones are not; what cannot be told is said."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.geometry.arrays import FloatArray
+from sylpose.moments import PairMoments
+from sylpose.results import Status
+from sylpose.simulate import box, ellipsoid, plane, random_motion, ring, simulate_matches
+from sylpose.sylvester import affine_consensus as agreement
+from sylpose.sylvester.camera_faults import Diagnosis, diagnose, solve_robust, suspect_cameras
+from sylpose.sylvester.centralized import solve_centralized
+from sylpose.sylvester.orthographic import views_of
+from tests.scenes import angle, random_rotations
+
+seeds = st.integers(0, 2**32 - 1)
+quick = settings(max_examples=15, deadline=None)
+
+
+def general_cameras(rng: np.random.Generator, n: int) -> FloatArray:
+    """The first three look along three axes, the others anywhere."""
+    base = np.array([np.roll(np.eye(3), k, axis=0) for k in range(3)])
+    return np.asarray(np.concatenate([base, random_rotations(rng, n - 3)]) @ random_rotations(rng, 1)[0])
+
+
+def orthographic(
+    rng: np.random.Generator, cameras: FloatArray, turn: FloatArray, size: float = 1.0, noise: float = 0.0
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Per camera the images of its own points, every one of them also at the opposite depth."""
+    matches = []
+    for q in cameras:
+        points = size * rng.normal(size=(30, 3))
+        points = np.concatenate([points, points * [1, 1, -1]])
+        x, y = points[:, :2], (points @ (q @ turn @ q.T).T)[:, :2]
+        matches.append((x, y + noise * rng.normal(size=y.shape)))
+    return matches
+
+
+def moments_of(matches: list[tuple[FloatArray, FloatArray]]) -> list[PairMoments]:
+    return [PairMoments.from_matches(x, y) for x, y in matches]
+
+
+def kinds(diagnosis: Diagnosis) -> dict[int, str]:
+    return {c: fault.kind for c, fault in enumerate(diagnosis.faults) if fault is not None}
+
+
+# --- Scenes -------------------------------------------------------------------------------------------------------------
+
+# (rng, rotation (3, 3), x, y) -> the same, as a camera at fault has it.
+Spoil = Callable[[np.random.Generator, FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
+
+
+def turned(degrees: float) -> Spoil:
+    """A calibration that is turned about any axis."""
+
+    def spoil(
+        rng: np.random.Generator, q: FloatArray, x: FloatArray, y: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        axis = rng.standard_normal(3)
+        off = Rotation.from_rotvec(np.deg2rad(degrees) * axis / np.linalg.norm(axis)).as_matrix()
+        return off @ q, x, y
+
+    return spoil
+
+
+def mirrored(
+    _: np.random.Generator, q: FloatArray, x: FloatArray, y: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return q, x * [-1, 1], y * [-1, 1]
+
+
+def frozen(
+    rng: np.random.Generator, q: FloatArray, x: FloatArray, _: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """With half a pixel of noise, f = 1000 px."""
+    return q, x, x + 5e-4 * rng.standard_normal(x.shape)
+
+
+def junk(
+    rng: np.random.Generator, q: FloatArray, x: FloatArray, y: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Matches of anything with anything, where the object is."""
+    anywhere = [rng.uniform(p.min(axis=0), p.max(axis=0), p.shape) for p in (x, y)]
+    return q, anywhere[0], anywhere[1]
+
+
+class Scene(NamedTuple):
+    """Cameras (C, 3, 3) and their moments, some of them bad, and the true rotation (3, 3)."""
+
+    rotations: FloatArray
+    moments: list[PairMoments]
+    bad: tuple[int, ...]
+    truth: FloatArray
+
+
+def scene(n: int, turn_deg: float, seed: int, spoil: Spoil | None = None, n_bad: int = 1) -> Scene:
+    """An ellipsoid or a box in perspective, cameras around it by turns above and below; which are bad the seed decides."""
+    rng = np.random.default_rng([seed, n, round(10 * turn_deg)])
+    body = (ellipsoid((0.15, 0.12, 0.1)), box())[seed % 2]
+    motion = random_motion(turn_deg, 0.03, rng)
+    rig = ring(n, height=[0.4 * (-1) ** k for k in range(n)])
+    pair = simulate_matches(rig, body, motion, rng=rng)
+    cameras = [(camera.rotation, m.x, m.y) for camera, m in zip(rig, pair.matches, strict=True)]
+    bad = () if spoil is None else tuple(rng.choice(n, n_bad, replace=False).tolist())
+    for c in bad:
+        assert spoil is not None
+        cameras[c] = spoil(rng, *cameras[c])
+    moments = [PairMoments.from_matches(x, y) for _, x, y in cameras]
+    return Scene(np.array([q for q, _, _ in cameras]), moments, bad, motion.rotation.as_matrix())
+
+
+def board(
+    n: int, turn_deg: float, seed: int, spoil: Spoil | None = None, shift: float = 0.03, tilt: float = 70.0
+) -> Scene:
+    """Cameras around a board whose normal is `tilt` degrees from where the first one looks: several see it from its side."""
+    rng = np.random.default_rng([seed, n])
+    rig = ring(n, height=[0.4 * (-1) ** k for k in range(n)])
+    about = rng.uniform(0, 2 * np.pi)
+    pose = Rotation.from_rotvec(np.deg2rad(tilt) * np.array([np.cos(about), np.sin(about), 0.0]))
+    motion, start = random_motion(turn_deg, shift, rng), RigidTransform.from_rotation(pose)
+    pair = simulate_matches(rig, plane((0.3, 0.2)), motion, rng=rng, start=start)
+    cameras = [(camera.rotation, m.x, m.y) for camera, m in zip(rig, pair.matches, strict=True)]
+    bad = () if spoil is None else (int(rng.integers(n)),)
+    for c in bad:
+        assert spoil is not None
+        cameras[c] = spoil(rng, *cameras[c])
+    moments = [PairMoments.from_matches(x, y) for _, x, y in cameras]
+    return Scene(np.array([q for q, _, _ in cameras]), moments, bad, motion.rotation.as_matrix())
+
+
+class Outcome(NamedTuple):
+    """Errors (radians) with all cameras, with the bad ones left out by hand and robust; the kinds of fault that bad cameras
+    and good ones are named with; whether it is said to be unsure."""
+
+    all: float
+    by_hand: float
+    robust: float
+    named: list[str]
+    wrongly_named: list[str]
+    unsure: bool
+
+
+def outcome(s: Scene) -> Outcome:
+    good = [c for c in range(len(s.moments)) if c not in s.bad]
+    robust = solve_robust(s.rotations, s.moments)
+    named = kinds(robust.diagnosis)
+    return Outcome(
+        angle(solve_centralized(s.rotations, s.moments).rotation, s.truth),
+        angle(solve_centralized(s.rotations[good], [s.moments[c] for c in good]).rotation, s.truth),
+        np.pi if robust.solution is None else angle(robust.rotation, s.truth),
+        [kind for c, kind in named.items() if c in s.bad],
+        [kind for c, kind in named.items() if c in good],
+        not robust.diagnosis.consistent,
+    )
+
+
+# --- Monte Carlo, small (benchmarks/sensors.py is the large one) --------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [3, 4, 8])
+def test_good_cameras_are_not_named(n: int) -> None:
+    """Ellipsoids and boxes in perspective, whose plain estimate is biased by degrees."""
+    for seed in range(4):
+        for turn in (5.0, 15.0):
+            found = outcome(scene(n, turn, seed))
+            assert found.wrongly_named == []
+            assert not found.unsure
+
+
+@pytest.mark.parametrize(
+    ("spoil", "kind", "found_at_least"),
+    [
+        (turned(180), "calibration", 6),
+        pytest.param(mirrored, "calibration", 7, marks=pytest.mark.slow),
+        pytest.param(frozen, "frozen", 7, marks=pytest.mark.slow),
+        (junk, "junk", 10),
+    ],
+)
+def test_a_bad_camera_of_eight_is_named_and_does_no_harm(spoil: Spoil, kind: str, found_at_least: int) -> None:
+    outcomes = [outcome(scene(8, 10.0, seed, spoil)) for seed in range(10)]
+    named = [k for o in outcomes for k in o.named]
+    assert len(named) >= found_at_least
+    assert named.count(kind) >= 0.9 * len(named)
+    assert [o.wrongly_named for o in outcomes] == [[]] * 10
+    errors = np.array([o[:3] for o in outcomes])
+    median, worst = np.median(errors, axis=0), np.quantile(errors, 0.9, axis=0)
+    assert median[2] <= 2 * median[1]
+    assert worst[2] <= 2 * worst[1]
+    assert median[0] > 1.2 * median[2]  # left in, they do harm
+
+
+@pytest.mark.parametrize(
+    ("turn", "shift"),
+    [
+        (0.0, 0.0),
+        pytest.param(0.0, 0.03, marks=pytest.mark.slow),
+        (1.0, 0.03),
+        pytest.param(15.0, 0.03, marks=pytest.mark.slow),
+    ],
+)
+def test_no_camera_is_named_before_a_board_seen_obliquely(turn: float, shift: float) -> None:
+    """With slopes of a normal distribution 11 % of them were; 4 % of those that stood still, by the noise of x."""
+    found = [outcome(board(n, turn, seed, shift=shift)) for n in (4, 8) for seed in range(8)]
+    assert [o.wrongly_named for o in found] == [[]] * len(found)
+    assert sum(o.unsure for o in found) <= 1
+
+
+@pytest.mark.parametrize(
+    ("spoil", "found_at_least"),
+    [
+        (turned(180), 12),
+        pytest.param(mirrored, 12, marks=pytest.mark.slow),
+        pytest.param(frozen, 12, marks=pytest.mark.slow),
+        (junk, 18),
+    ],
+)
+def test_a_bad_camera_before_a_board_is_named_still(spoil: Spoil, found_at_least: int) -> None:
+    """Of eight cameras, 78 to 100 % (docs/benchmarks.md#bad-sensors)."""
+    found = [outcome(board(8, 10.0, seed, spoil, tilt=4.0 * seed)) for seed in range(20)]
+    assert sum(len(o.named) for o in found) >= found_at_least
+    assert sum(len(o.wrongly_named) for o in found) <= 1
+
+
+def test_an_affine_map_is_not_shortened_by_noise_in_x() -> None:
+    """A stripe of 100 by 3 pixels, with a pixel of noise: least squares make 0.9 of 1."""
+    rng = np.random.default_rng(0)
+    short = []
+    for _ in range(200):
+        x = rng.standard_normal((100, 2)) * [0.1, 0.003]
+        seen, later = x + 1e-3 * rng.standard_normal((2, *x.shape))
+        moments = [PairMoments.from_matches(seen, later)]
+        views = views_of(np.eye(3)[None], moments, aim=False)
+        fits = agreement.affine_fits(views)
+        plain = views.s_yx[0] @ np.linalg.inv(views.s_xx[0])
+        short.append((1 - plain[1, 1], 1 - fits.F[0, 1, 1], fits.noise[0, 3, 3]))
+    plain_off, off, variance = np.mean(short, axis=0)
+    assert plain_off == pytest.approx(0.1, abs=0.02)
+    assert abs(off) < 0.03
+    assert 0.5 < np.var([s[1] for s in short]) / variance < 1.5
+
+
+@pytest.mark.parametrize("degrees", [5, 20])
+def test_a_fault_that_is_too_small_to_be_seen_is_too_small_to_harm(degrees: float) -> None:
+    errors = np.median([outcome(scene(4, 5.0, seed, turned(degrees)))[:3] for seed in range(10)], axis=0)
+    assert errors[2] <= 2 * errors[1]
+
+
+def test_two_bad_cameras_of_eight_are_both_named() -> None:
+    found = [outcome(scene(8, 15.0, seed, junk, 2)) for seed in range(5)]
+    assert sum(o.named.count("junk") for o in found) >= 9
+    found = [outcome(scene(8, 15.0, seed, turned(180), 2)) for seed in range(8)]
+    assert sum(o.named.count("calibration") for o in found) >= 8
+    assert sum(len(o.wrongly_named) for o in found) <= 1
+
+
+# --- What is said ------------------------------------------------------------------------------------------------------
+
+
+def test_the_result_is_that_without_the_named_camera_and_the_text_names_it() -> None:
+    s = scene(8, 10.0, 3, junk)
+    names = [f"cam_{k}" for k in range(8)]
+    robust = solve_robust(s.rotations, s.moments, names=names)
+    bad = s.bad[0]
+    fault = robust.faults[bad]
+    assert fault is not None
+    assert fault.camera == names[bad]
+    assert names[bad] in fault.text
+    assert "junk" in robust.diagnosis.text
+    assert robust.weights[bad] == 0
+    assert fault.score == robust.diagnosis.scores[bad] > agreement.FAULT
+    rest = [c for c in range(8) if c != bad]
+    assert (robust.weights[rest] == 1).all()
+    by_hand = solve_centralized(s.rotations[rest], [s.moments[c] for c in rest])
+    assert robust.solution is not None
+    np.testing.assert_allclose(robust.solution.rotation, by_hand.rotation, atol=1e-12)
+    assert robust.status is (Status.OK if by_hand.certified else Status.NOT_CERTIFIED)
+
+
+def test_the_status_is_that_of_the_solution() -> None:
+    """Few noisy matches: many of these do not see all of the turn; where there is as much noise as there are points, the
+    answer has nothing to do with them."""
+    found = set()
+    for seed in range(40):
+        rng, noise = np.random.default_rng(seed), (0.5, 1.0)[seed % 2]
+        cameras, turn = random_rotations(rng, 4), random_rotations(rng, 1)[0]
+        moments = []
+        for q in cameras:
+            points = rng.normal(size=(8, 3))
+            x, y = (points @ q.T)[:, :2], (points @ turn.T @ q.T)[:, :2]
+            moments.append(PairMoments.from_matches(*(p + noise * rng.normal(size=p.shape) for p in (x, y))))
+        robust = solve_robust(cameras, moments, aim=False)
+        if robust.solution is not None and robust.diagnosis.consistent:
+            assert robust.status is robust.solution.status
+            np.testing.assert_array_equal(robust.rotation, robust.solution.rotation)
+            np.testing.assert_array_equal(robust.information, robust.solution.information)
+            found.add(robust.status)
+    assert found == {Status.OK, Status.NOT_CERTIFIED, Status.TURN_NOT_OBSERVABLE}
+
+
+def test_without_faults_it_is_the_plain_estimate() -> None:
+    s = scene(4, 5.0, 0)
+    robust, plain = solve_robust(s.rotations, s.moments), solve_centralized(s.rotations, s.moments)
+    assert (robust.weights == 1).all()
+    assert robust.solution is not None
+    np.testing.assert_array_equal(robust.solution.rotation, plain.rotation)
+    assert robust.diagnosis.text == "No camera is found to be at fault."
+
+
+def test_of_two_cameras_that_disagree_none_is_named() -> None:
+    """The object turns about the first camera's axis; the second looks the same way and says that it does not."""
+    rng = np.random.default_rng(0)
+    x = 0.05 * rng.normal(size=(40, 2))
+    turned = x @ Rotation.from_rotvec([0, 0, 0.4]).as_matrix()[:2, :2].T
+    back = x @ Rotation.from_rotvec([0, 0, -0.4]).as_matrix()[:2, :2].T
+    moments = [PairMoments.from_matches(x, y + 1e-4 * rng.normal(size=x.shape)) for y in (turned, back)]
+    robust = solve_robust([np.eye(3)] * 2, moments, names=["left", "right"])
+    assert robust.faults == (None, None)
+    assert robust.status is Status.NOT_CONSISTENT
+    assert (robust.weights == 1).all()
+    assert "cameras disagree" in robust.diagnosis.text
+    agreeing = solve_robust([np.eye(3)] * 2, [moments[0]] * 2)
+    assert agreeing.diagnosis.consistent
+
+
+def test_no_majority_is_no_consistent_motion() -> None:
+    """Two cameras say one thing and two the opposite."""
+    rng = np.random.default_rng(1)
+    x = 0.05 * rng.normal(size=(40, 2))
+    moments = []
+    for sign in (1, 1, -1, -1):
+        y = x @ Rotation.from_rotvec([0, 0, 0.4 * sign]).as_matrix()[:2, :2].T
+        moments.append(PairMoments.from_matches(x, y + 1e-4 * rng.normal(size=x.shape)))
+    robust = solve_robust([np.eye(3)] * 4, moments)
+    assert robust.status is Status.NOT_CONSISTENT
+    assert robust.faults == (None,) * 4
+
+
+def test_all_cameras_junk_is_no_solution() -> None:
+    rng = np.random.default_rng(2)
+    moments = [PairMoments.from_matches(*rng.uniform(-0.1, 0.1, (2, 60, 2))) for _ in range(3)]
+    robust = solve_robust(random_rotations(rng, 3), moments)
+    assert robust.status is Status.NOT_CONSISTENT
+    assert robust.solution is None
+    assert np.isnan(robust.rotation).all()
+    assert robust.rotation.shape == (3, 3)
+    np.testing.assert_array_equal(robust.information, np.zeros((3, 3)))
+    assert kinds(robust.diagnosis) == {0: "junk", 1: "junk", 2: "junk"}
+
+
+@pytest.mark.parametrize("noise", [0.0, 5e-4])
+def test_a_frozen_camera_is_none_while_the_object_stands_still(noise: float) -> None:
+    rng = np.random.default_rng(3)
+    cameras = general_cameras(rng, 4)
+    images = [0.05 * rng.normal(size=(40, 2)) for _ in cameras]
+    moments = [PairMoments.from_matches(x, x + 5e-4 * rng.normal(size=x.shape)) for x in images[1:]]
+    frozen = PairMoments.from_matches(images[0], images[0] + noise * rng.normal(size=images[0].shape))
+    robust = solve_robust(cameras, [frozen, *moments])
+    assert robust.faults == (None,) * 4
+    assert robust.solution is not None
+    assert angle(robust.solution.rotation, np.eye(3)) < 0.02
+
+
+@pytest.mark.parametrize("noise", [0.0, 5e-4])
+def test_two_frozen_cameras_of_four_are_named_for_a_still_object_cannot_be_seen_to_move(noise: float) -> None:
+    rng = np.random.default_rng(1)
+    cameras, turn = general_cameras(rng, 4), Rotation.from_rotvec([0.2, 0.2, -0.2]).as_matrix()
+    matches = orthographic(rng, cameras, turn, size=0.05, noise=5e-4)
+    for c in (0, 3):
+        x = matches[c][0]
+        matches[c] = x, x + noise * rng.normal(size=x.shape)
+    assert kinds(diagnose(cameras, moments_of(matches), aim=False)) == {0: "frozen", 3: "frozen"}
+
+
+def test_cameras_that_see_too_little_are_not_judged() -> None:
+    s = scene(8, 10.0, 0, junk)
+    few = PairMoments.from_matches(np.eye(2) * 0.1, np.eye(2) * 0.1)
+    line = np.outer(np.linspace(-0.1, 0.1, 30), [1.0, 1.0])
+    extra = [few, PairMoments.zero(), PairMoments.from_matches(line, line)]
+    alone = diagnose(s.rotations, s.moments)
+    more = diagnose(np.concatenate([s.rotations, s.rotations[:3]]), [*s.moments, *extra])
+    assert np.isnan(more.scores[8:]).all()
+    assert (more.weights[8:] == 1).all()
+    assert kinds(more) == kinds(alone)
+    np.testing.assert_allclose(more.scores[:8], alone.scores, rtol=1e-9)
+
+
+def test_a_rotation_found_by_other_means_judges_the_cameras_as_well() -> None:
+    s = scene(8, 10.0, 5, turned(180))
+    at_truth = suspect_cameras(s.rotations, s.moments, s.truth)
+    assert kinds(at_truth) == {s.bad[0]: "calibration"}
+    good = scene(8, 10.0, 5)
+    assert kinds(suspect_cameras(good.rotations, good.moments, good.truth)) == {}
+    wrong = suspect_cameras(good.rotations, good.moments, Rotation.from_rotvec([0.5, 0.5, 0.5]).as_matrix())
+    assert not wrong.consistent
+
+
+# --- Mathematics -------------------------------------------------------------------------------------------------------
+
+
+@given(seeds, st.integers(4, 8), st.floats(0, 1.5))
+@quick
+def test_noise_free_orthographic_cameras_agree_on_the_truth(seed: int, n: int, turn_angle: float) -> None:
+    rng = np.random.default_rng(seed)
+    cameras = general_cameras(rng, n)
+    turn = Rotation.from_rotvec(turn_angle * random_rotations(rng, 1)[0, 0]).as_matrix()
+    diagnosis = diagnose(cameras, moments_of(orthographic(rng, cameras, turn)), aim=False)
+    assert kinds(diagnosis) == {}
+    assert angle(diagnosis.rotation, turn) < 0.05
+    at_truth = suspect_cameras(cameras, moments_of(orthographic(rng, cameras, turn)), turn, aim=False)
+    assert at_truth.scores.max() < 1e-9
+
+
+@given(seeds)
+@quick
+def test_equivariant_under_a_change_of_world_frame_and_order(seed: int) -> None:
+    s = scene(5, 10.0, seed % 1000, junk)
+    rng = np.random.default_rng(seed)
+    new_from_old, order = random_rotations(rng, 1)[0], rng.permutation(5)
+    a = diagnose(s.rotations, s.moments)
+    b = diagnose(s.rotations[order] @ new_from_old.T, [s.moments[c] for c in order])
+    np.testing.assert_allclose(b.scores, a.scores[order], rtol=1e-3, atol=1e-3)
+    assert angle(b.rotation, new_from_old @ a.rotation @ new_from_old.T) < 1e-4
+    assert kinds(b) == {k: a.faults[c].kind for k, c in enumerate(order) if a.faults[c] is not None}
+
+
+@given(seeds)
+@quick
+def test_derivative_of_the_affine_map_against_finite_differences(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    s = scene(4, 10.0, seed % 100)
+    fits = agreement.affine_fits(views_of(s.rotations, s.moments))
+    R = Rotation.from_rotvec(0.3 * rng.normal(size=3)).as_matrix()
+    at = agreement.score(fits, R[None])
+    slopes = at.slopes[0]
+
+    def predicted(w: FloatArray) -> FloatArray:
+        seen = fits.axes_y[:, :2] @ Rotation.from_rotvec(w).as_matrix() @ R @ np.swapaxes(fits.axes_x, 1, 2)
+        return np.asarray((seen[:, :, :2] + seen[:, :, 2, None] * slopes[:, None]).reshape(-1, 4))
+
+    e = 1e-6 * np.eye(3)
+    numeric = np.stack([(predicted(d) - predicted(-d)) / 2e-6 for d in e], axis=-1)
+    np.testing.assert_allclose(at.jacobian[0], numeric, atol=1e-8)
+
+
+def test_thousands_of_cameras_take_linear_time() -> None:
+    s = scene(50, 10.0, 0, turned(180))
+
+    def seconds(copies: int) -> float:
+        rotations, moments = np.tile(s.rotations, (copies, 1, 1)), s.moments * copies
+        start = time.process_time()
+        diagnosis = diagnose(rotations, moments)
+        assert len(kinds(diagnosis)) in (0, copies)
+        return time.process_time() - start
+
+    seconds(1)
+    assert seconds(40) < 80 * min(seconds(2) for _ in range(3))  # 20 times the cameras
+
+
+def test_bad_input_is_refused() -> None:
+    s = scene(3, 5.0, 0)
+    with pytest.raises(ValueError, match="names: 2 for 3 cameras"):
+        solve_robust(s.rotations, s.moments, names=["a", "b"])
+    with pytest.raises(ValueError, match=r"rotations must be \(C, 3, 3\) for C = 2"):
+        diagnose(s.rotations, s.moments[:2])
+    with pytest.raises(ValueError, match="not a rotation matrix"):
+        suspect_cameras(s.rotations, s.moments, 2 * np.eye(3))
+    with pytest.raises(ValueError, match="spread"):
+        solve_robust(s.rotations, [PairMoments.zero()] * 3)
