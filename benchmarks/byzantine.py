@@ -1,6 +1,6 @@
 """Nodes of which one lies: are the others harmed?
 
-    python benchmarks/byzantine.py [--seeds 0 1 2 3 4] [--mode exact economical] [--loss 0]
+    python benchmarks/byzantine.py [--seeds 0 1 2 3 4] [--mode exact compact] [--loss 0]
 
 A box turns by 25 degrees before four cameras in 8 frames (320x240); of camera 1's words comes what
 `network/fault_injection.py` makes

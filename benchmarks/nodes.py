@@ -1,6 +1,6 @@
 """The tracker by cameras as nodes, over a simulated network: is it the same, and what does it cost?
 
-    python benchmarks/nodes.py [SCENE ...] [--recordings FOLDER] [--loss 0 0.1] [--mode exact economical]
+    python benchmarks/nodes.py [SCENE ...] [--recordings FOLDER] [--loss 0 0.1] [--mode exact compact]
 
 A scene is KIND:SEED of `benchmarks/kinds.py`, demo:SEED, loop:SEED, or the name of a recording in FOLDER; in each mode, with
 each share of messages lost. Columns: the root mean squared errors of the motion since the first frame, against the truth, as

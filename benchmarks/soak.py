@@ -3,7 +3,7 @@
     python benchmarks/soak.py [--frames 10000] [--rate 8] [--samples FILE]
 
 Two bodies turn to and fro before four cameras of 320x240; their images are put into one folder per camera at a steady rate,
-old ones are removed, and `sylpose track --follow --lossless` follows. Its memory and its processor time are sampled, from
+old ones are removed, and `sylpose track --follow --no-drop` follows. Its memory and its processor time are sampled, from
 outside. The first fifth counts as warm-up. Needs Linux (/proc).
 """
 
@@ -80,7 +80,7 @@ def main() -> None:
         scene, images = begun(folder)
         names = [camera.name for camera in scene.rig.cameras]
         pngs = [[cv2.imencode(".png", image)[1].tobytes() for image in frame] for frame in images]
-        command = [sys.executable, "-m", "sylpose", "track", str(folder), "--follow", "--lossless", "--no-overlay"]
+        command = [sys.executable, "-m", "sylpose", "track", str(folder), "--follow", "--no-drop", "--no-overlay"]
         put(folder, names, 0, pngs[0])
         process = subprocess.Popen(
             [*command, "--out", str(out), "--rate", str(options.rate)], stdout=subprocess.DEVNULL

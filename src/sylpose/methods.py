@@ -52,7 +52,7 @@ def _paper(name: str, needs: str, gives: str, function: str) -> Method:
 # In each, the first is the default.
 FEATURES = ("auto", "sift", "klt")
 # How cameras that are nodes come to a frame's pose (`landmarks.distributed_alignment`).
-MODES = ("exact", "economical")
+MODES = ("exact", "compact")
 TABLE = (
     Method(
         "landmarks",

@@ -1,4 +1,4 @@
-"""What an estimator and the tracker say about their answers, each with a sentence for people."""
+"""Statuses of estimates and tracked frames, each with one explanatory sentence."""
 
 from __future__ import annotations
 
@@ -6,53 +6,67 @@ from enum import Enum
 
 __all__ = ["FrameStatus", "Observable", "Status"]
 
+# Words that earlier versions wrote into result files, and the present ones.
+_EARLIER = {
+    "turn not observable": "rotation not observable",
+    "mostly still": "mostly static",
+    "only background": "background only",
+    "found": "localized",
+    "length not observable": "translation scale not observable",
+}
+
 
 class Status(Enum):
-    """What an estimator says about its own answer. `status.text` is a sentence for people."""
+    """Outcome of an estimator. `status.text` explains it in one sentence."""
 
     OK = "ok"
     TOO_FEW_MATCHES = "too few matches"
     SCALE_NOT_OBSERVABLE = "scale not observable"
-    TURN_NOT_OBSERVABLE = "turn not observable"
+    TURN_NOT_OBSERVABLE = "rotation not observable"
     NO_MOTION = "no motion"
     NOT_CERTIFIED = "not certified"
     NOT_CONVERGED = "not converged"
     NOT_CONSISTENT = "no consistent motion"
     AMBIGUOUS = "ambiguous"
     MIXED = "more than one motion"
-    MOSTLY_STILL = "mostly still"
+    MOSTLY_STILL = "mostly static"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Status | None:
+        """Accept the words of earlier versions, which result files may contain."""
+        return next((member for member in cls if member.value == _EARLIER.get(str(value))), None)
 
     @property
     def text(self) -> str:
-        """One sentence that says what the status means."""
+        """One sentence that explains the status."""
         return _TEXTS[self]
 
     @property
     def has_pose(self) -> bool:
-        """Whether a result of this status carries an answer that may be used."""
+        """Whether a result with this status carries a usable answer."""
         return self in (Status.OK, Status.SCALE_NOT_OBSERVABLE, Status.NO_MOTION, Status.NOT_CERTIFIED)
 
 
 _TEXTS = {
-    Status.OK: "Everything that was asked for was found.",
+    Status.OK: "The estimate converged and every requested quantity is observable.",
     Status.TOO_FEW_MATCHES: "Too few matches on the object in all cameras together.",
-    Status.SCALE_NOT_OBSERVABLE: "The turn and the translation's direction were found; how far it moved cannot be seen "
-    "(one camera, or a translation without a turn).",
-    Status.TURN_NOT_OBSERVABLE: "A part of the turn cannot be seen from these cameras.",
-    Status.NO_MOTION: "The object did not move measurably: its matches stand still in every camera.",
-    Status.NOT_CERTIFIED: "The best of all solutions that were found; that there is no better one is not proved.",
-    Status.NOT_CONVERGED: "The solver did not settle within its bound of iterations.",
+    Status.SCALE_NOT_OBSERVABLE: "Rotation and translation direction are estimated; the translation's length is not "
+    "observable (one camera, or a translation without rotation).",
+    Status.TURN_NOT_OBSERVABLE: "Part of the rotation is not observable from these cameras.",
+    Status.NO_MOTION: "The object did not move measurably: its matches are static in every camera.",
+    Status.NOT_CERTIFIED: "The best solution found; its global optimality is not proved.",
+    Status.NOT_CONVERGED: "The solver did not converge within its iteration limit.",
     Status.NOT_CONSISTENT: "No single rigid motion explains enough of the matches.",
-    Status.AMBIGUOUS: "Two motions explain the matches about equally well, or about as many of them each, and which of them "
-    "is the object's cannot be seen.",
-    Status.MIXED: "One motion explains the matches nearly, and neighbours depart from it alike: two bodies move, or a "
-    "camera is calibrated wrongly.",
-    Status.MOSTLY_STILL: "Most matches stand still, and some move, by too little or too few to tell which are the object's.",
+    Status.AMBIGUOUS: "Two motions explain the matches about equally well, or about as many matches each; the data do "
+    "not decide which is the object's.",
+    Status.MIXED: "One motion nearly explains the matches, with residuals that are alike among neighbors: two bodies "
+    "move, or a camera is miscalibrated.",
+    Status.MOSTLY_STILL: "Most matches are static; those that move are too few, or move too little, to identify the object.",
 }
 
 
 class FrameStatus(Enum):
-    """What happened to a frame in the tracker. `status.text` is a sentence for people."""
+    """Outcome of a frame in the tracker. `status.text` explains it in one sentence."""
 
     FIRST = "first frame"
     TRACKED = "tracked"
@@ -63,14 +77,19 @@ class FrameStatus(Enum):
     TOO_FEW_MATCHES = "too few matches"
     NO_MOTION = "no motion"
     NOT_CONSISTENT = "no consistent motion"
-    ONLY_STILL = "only background"
-    FOUND = "found"
-    NOT_OBSERVABLE = "turn not observable"
+    ONLY_STILL = "background only"
+    FOUND = "localized"
+    NOT_OBSERVABLE = "rotation not observable"
     NO_POSE = "no consistent pose"
+
+    @classmethod
+    def _missing_(cls, value: object) -> FrameStatus | None:
+        """Accept the words of earlier versions, which result files may contain."""
+        return next((member for member in cls if member.value == _EARLIER.get(str(value))), None)
 
     @property
     def text(self) -> str:
-        """One sentence that says what the status means."""
+        """One sentence that explains the status."""
         return _FRAME_TEXTS[self]
 
     @property
@@ -87,39 +106,44 @@ class FrameStatus(Enum):
 
 
 _FRAME_TEXTS = {
-    FrameStatus.FIRST: "The first frame with the object: the pose that all others are relative to.",
-    FrameStatus.TRACKED: "The object was followed from the frame before.",
-    FrameStatus.RELOCALISED: "The object was found again, by what was learnt of it before.",
-    FrameStatus.COASTING: "The object was not found; it is taken to go on as it did, with growing uncertainty.",
-    FrameStatus.UNCERTAIN: "What is seen hardly tells how the object is turned: its pose may be any of many.",
-    FrameStatus.LOST: "The object was not found, for too long to say where it may be.",
-    FrameStatus.TOO_FEW_MATCHES: "Too few features on the object in all cameras together, to begin with.",
-    FrameStatus.NO_MOTION: "Nothing moved yet that could be taken for the object: its pose is not known.",
-    FrameStatus.ONLY_STILL: "All that is seen stands still and was never seen to move: it may be the background, and what "
-    "moved before is not seen. The object's pose is not known.",
-    FrameStatus.FOUND: "The pose was found in this frame by itself, from points known on the object.",
-    FrameStatus.NOT_OBSERVABLE: "How the object is turned cannot be told: other turns explain what is seen as well.",
-    FrameStatus.NO_POSE: "No single pose explains enough of what is seen.",
-    FrameStatus.NOT_CONSISTENT: "What moved was no rigid body, or not for long: its pose is not known.",
+    FrameStatus.FIRST: "The first frame with the object: all other poses are relative to it.",
+    FrameStatus.TRACKED: "The object was tracked from the previous frame.",
+    FrameStatus.RELOCALISED: "The object was found again by its landmarks.",
+    FrameStatus.COASTING: "The object was not found; its pose is predicted by its last motion, with growing uncertainty.",
+    FrameStatus.UNCERTAIN: "The observations hardly constrain the rotation: very different poses fit as well.",
+    FrameStatus.LOST: "The object was not found for too long to predict its pose.",
+    FrameStatus.TOO_FEW_MATCHES: "Too few features on the object in all cameras together to start.",
+    FrameStatus.NO_MOTION: "Nothing has moved yet that could be the object: its pose is unknown.",
+    FrameStatus.ONLY_STILL: "Everything observed is static and never moved: it may be background. What moved before is "
+    "not visible, so the object's pose is unknown.",
+    FrameStatus.FOUND: "The pose was estimated from this frame alone, by known points on the object.",
+    FrameStatus.NOT_OBSERVABLE: "The rotation is not observable: other rotations explain the observations as well.",
+    FrameStatus.NO_POSE: "No single pose explains enough of the observations.",
+    FrameStatus.NOT_CONSISTENT: "Nothing could be followed as one rigid body for long enough: the pose is unknown.",
 }
 
 
 class Observable(Enum):
-    """What of a frame's pose can be seen. `observable.text` is a sentence for people."""
+    """Which part of a frame's pose is observable. `text` explains it in one sentence."""
 
     ALL = "all"
     NO_SCALE = "scale not observable"
-    NO_LENGTH = "length not observable"
+    NO_LENGTH = "translation scale not observable"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Observable | None:
+        """Accept the words of earlier versions, which result files may contain."""
+        return next((member for member in cls if member.value == _EARLIER.get(str(value))), None)
 
     @property
     def text(self) -> str:
-        """One sentence that says what it means."""
+        """One sentence that explains the value."""
         return _OBSERVABLE_TEXTS[self]
 
 
 _OBSERVABLE_TEXTS = {
-    Observable.ALL: "The whole pose can be seen.",
-    Observable.NO_LENGTH: "The object has not turned: how far it moved follows from what is believed of its place and shape "
-    "alone, until a turn tells it.",
-    Observable.NO_SCALE: "With one camera, lengths are in units of the object's first distance.",
+    Observable.ALL: "The whole pose is observable.",
+    Observable.NO_LENGTH: "The object has not rotated: the length of its translation rests on the assumed distance and "
+    "shape until it rotates.",
+    Observable.NO_SCALE: "With one camera, lengths are in units of the object's initial distance.",
 }

@@ -262,7 +262,7 @@ def test_ctrl_c_ends_live_cameras_with_all_files(
 def test_what_live_cameras_cannot_do(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "--resume: a live session" in wrong(capsys, "track", session, "--resume")
     assert "--frame-offset" in wrong(capsys, "track", session, "--frame-offset", "cam_0=1")
-    assert "lossless" in wrong(capsys, "track", session, "--lossless")
+    assert "lossless" in wrong(capsys, "track", session, "--no-drop")
     (session / "live.toml").write_text("[sources]\ncam_0 = 0\n")
     assert "live.toml" in wrong(capsys, "track", session)
     (session / "live.toml").unlink()
@@ -291,7 +291,7 @@ def test_a_growing_folder_is_tracked_as_it_grows(
 
     recorder = threading.Thread(target=record)
     recorder.start()
-    command = ["track", str(session), "--follow", "--lossless", "--rate", "30", "--out", str(tmp_path / "out")]
+    command = ["track", str(session), "--follow", "--no-drop", "--rate", "30", "--out", str(tmp_path / "out")]
     assert main(command) == 0
     recorder.join()
     assert f"of {FRAMES} frames" in capsys.readouterr().out
@@ -309,8 +309,8 @@ def test_nodes_write_what_one_process_writes(session: Path, tmp_path: Path, caps
     assert main([*asked, str(tmp_path / "one")]) == 0
     expected = read_trajectory(tmp_path / "one" / "trajectory.csv")
     capsys.readouterr()
-    for mode, apart in (("exact", 1e-8), ("economical", 1e-3)):
-        assert main([*asked, str(tmp_path / mode), "--distributed", mode]) == 0
+    for mode, apart in (("exact", 1e-8), ("compact", 1e-3)):
+        assert main([*asked, str(tmp_path / mode), "--simulate-nodes", mode]) == 0
         assert "3 nodes told each other" in " ".join(capsys.readouterr().out.split())
         found = read_trajectory(tmp_path / mode / "trajectory.csv")
         assert [f.status for f in found] == [f.status for f in expected]
@@ -322,9 +322,9 @@ def test_nodes_write_what_one_process_writes(session: Path, tmp_path: Path, caps
 
 
 def test_what_nodes_cannot_do(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said = wrong(capsys, "track", session, "--distributed", "exact", "--resume")
+    said = wrong(capsys, "track", session, "--simulate-nodes", "exact", "--resume")
     assert "nodes leave no checkpoint, so there is nothing to resume" in said
-    assert "'quick' is neither of exact, economical" in wrong(capsys, "track", session, "--distributed", "quick")
+    assert "'quick' is neither of exact, compact" in wrong(capsys, "track", session, "--simulate-nodes", "quick")
 
 
 def test_help_loads_nothing_heavy() -> None:

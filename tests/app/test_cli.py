@@ -812,9 +812,9 @@ def test_calibrations_are_told_in_another_unit(tmp_path: Path, run: Command) -> 
 def test_results_in_another_unit_about_other_axes(session: Path, tmp_path: Path, run: Command) -> None:
     """The same poses, a thousand times as far apart, by cameras that are named."""
     (session / "cam_0.mp4").rename(session / "left.mp4")
-    asked = ["--stop", "4", "--no-overlay", "--no-smooth", "--camera", "cam_0=left.mp4"]
+    asked = ["--stop", "4", "--no-overlay", "--no-smooth", "--video", "cam_0=left.mp4"]
     assert run("track", session, "--out", tmp_path / "m", *asked).code == 0
-    assert run("track", session, "--out", tmp_path / "mm", *asked, "--unit", "mm", "--angles", "ZXZ").code == 0
+    assert run("track", session, "--out", tmp_path / "mm", *asked, "--unit", "mm", "--euler", "ZXZ").code == 0
     metres, millimetres = (read_trajectory(tmp_path / unit / "trajectory.csv") for unit in ("m", "mm"))
     assert (metres.unit, millimetres.unit) == ("m", "mm")
     assert metres.solved.sum() == 4
@@ -828,16 +828,16 @@ def test_results_in_another_unit_about_other_axes(session: Path, tmp_path: Path,
         np.testing.assert_allclose(b.sigma, a.sigma * ([1] * 3 + [1000] * 3), rtol=0.02, atol=1e-9)
     assert "angle2_X_deg" in (tmp_path / "mm" / "trajectory.csv").read_text().splitlines()[0]
     assert calibration.load(tmp_path / "mm" / "calibration.used.toml").unit == "mm"
-    assert run("view", tmp_path / "mm", "cam_1", "--angles", "xyz").code == 0
+    assert run("view", tmp_path / "mm", "cam_1", "--euler", "xyz").code == 0
     assert "angle1_x_deg" in (tmp_path / "mm" / "view_cam_1.csv").read_text().splitlines()[0]
     for option, value, said in (
         ("--unit", "league", "one of m, cm"),
-        ("--angles", "XXY", "square"),
-        ("--camera", "cam_0", "NAME=FILE"),
-        ("--camera", "cam_0=gone.mp4", "gone.mp4"),
+        ("--euler", "XXY", "square"),
+        ("--video", "cam_0", "NAME=FILE"),
+        ("--video", "cam_0=gone.mp4", "gone.mp4"),
         ("--rate", 5, "folders of images"),
     ):
-        others = asked[:4] if option == "--camera" else asked
+        others = asked[:4] if option == "--video" else asked
         refused = run("track", session, "--out", tmp_path / "m", *others, option, value)
         assert said in one_sentence(refused)
 

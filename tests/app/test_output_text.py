@@ -29,7 +29,7 @@ ASKED = ("--no-overlay", "--no-smooth", "--stop", "6")
 def test_poses_go_to_stdout_as_lines_of_json(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["track", str(recording), "--out", str(tmp_path), *ASKED, "--poses", "-"]) == 0
+    assert main(["track", str(recording), "--out", str(tmp_path), *ASKED, "--stream", "-"]) == 0
     out, err = capsys.readouterr()
     lines = [json.loads(line) for line in out.splitlines()]
     found = read_trajectory(tmp_path / "trajectory.csv")
@@ -48,7 +48,7 @@ def test_poses_go_to_a_udp_port(recording: Path, tmp_path: Path) -> None:
         heard.bind(("127.0.0.1", 0))
         heard.settimeout(60)
         to = f"udp://127.0.0.1:{heard.getsockname()[1]}"
-        assert main(["track", str(recording), "--out", str(tmp_path), *ASKED, "--poses", to]) == 0
+        assert main(["track", str(recording), "--out", str(tmp_path), *ASKED, "--stream", to]) == 0
         frames = [json.loads(heard.recv(1 << 16))["frame"] for _ in range(6)]
     assert frames == [*range(6)]
 
@@ -69,9 +69,9 @@ def test_nobody_needs_to_listen() -> None:
 def test_listeners_that_there_cannot_be(
     to: str, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["track", str(recording), "--out", str(tmp_path / "out"), "--poses", to]) == 2
+    assert main(["track", str(recording), "--out", str(tmp_path / "out"), "--stream", to]) == 2
     out, err = capsys.readouterr()
-    assert err.startswith("sylpose: --poses")
+    assert err.startswith("sylpose: --stream")
     assert err.count("\n") == 1
     assert not out
     assert not (tmp_path / "out").exists()

@@ -185,9 +185,9 @@ def test_deeplabcut_writes_a_table_for_each_camera(tmp_path: Path, rig_file: Pat
     assert all(pose.measured for pose in trajectory)
     assert 0.3 < squares(trajectory).mean() < 3.0
     assert all((pose.matches == len(POINTS) - 1).all() for pose in trajectory)
-    # Named otherwise, by --camera.
+    # Named otherwise, by --video.
     named = [
-        f"--camera={name}={file.rename(tmp_path / f'{k}.csv')}"
+        f"--video={name}={file.rename(tmp_path / f'{k}.csv')}"
         for k, (name, file) in enumerate(zip(RIG.names, files, strict=True))
     ]
     assert main([*asked, *named, "--out", str(tmp_path / "b")]) == 0
@@ -502,7 +502,7 @@ def test_what_does_not_go_together(
         ([str(layout(tmp_path)), str(cube), "--is-in", "mm"], "--is-in mm"),
         ([points, str(timed), "--calibration", str(rig_file), "--rate", "9"], "--rate: the tables have times"),
         ([points, pixels, "--calibration", str(rig_file), "--max-error", "0"], "--max-error must be"),
-        ([points, pixels, "--calibration", str(rig_file), "--camera", "x=y"], "no camera x in the calibration"),
+        ([points, pixels, "--calibration", str(rig_file), "--video", "x=y"], "no camera x in the calibration"),
         ([str(layout(tmp_path)), str(cube), "--out", str(cube)], "this is the recording's own folder"),
     ):
         assert main(["pose", *out, *asked]) == 2

@@ -177,7 +177,7 @@ def test_the_file_that_a_run_leaves_tells_the_same_world(recording: Path, on_the
     for name in ("trajectory.csv", "calibration.used.toml", "world.toml"):
         assert (again / name).read_bytes() == (on_the_tag / name).read_bytes()
     assert f'world = "{TAG}, seen in frame 0 by cam_0' in (again / "settings.toml").read_text()
-    options = ("--no-overlay", "-q", "--unit", "mm", "--world", on_the_tag / "world.toml", "--angles", "ZYX")
+    options = ("--no-overlay", "-q", "--unit", "mm", "--world", on_the_tag / "world.toml", "--euler", "ZYX")
     assert sylpose("track", recording, "--out", other, *options) == 0
     told = read_trajectory(other / "trajectory.csv")
     assert told.unit == "mm"

@@ -738,7 +738,7 @@ def test_cameras_are_named_where_names_do_not_tell(folder: Path) -> None:
     two_videos(folder)
     (folder / "cam_0.mp4").rename(folder / "GX010042.mp4")
     (folder / "cam_1.mp4").rename(folder / "GX010007.mp4")
-    with pytest.raises(ValueError, match="--camera NAME=FILE"):
+    with pytest.raises(ValueError, match="--video NAME=FILE"):
         open_session(folder)
     named: dict[str, Path | str] = {"cam_0": "GX010042.mp4", "cam_1": folder / "GX010007.mp4"}
     session = open_session(folder, cameras=named)

@@ -84,11 +84,11 @@ def test_wrong_names_and_the_refusal(session: Path, capsys: pytest.CaptureFixtur
         with pytest.raises((ValueError, TypeError), match=said):
             open_session(session, without=without)
     for command in ("track", "check", "box", "sync"):
-        assert main([command, str(session), "--without", "cam_9"]) == 2
-        assert "--without: 'cam_9' is no camera" in capsys.readouterr().err
+        assert main([command, str(session), "--exclude-camera", "cam_9"]) == 2
+        assert "--exclude-camera: 'cam_9' is no camera" in capsys.readouterr().err
     if not (session / C).exists():
         with pytest.raises(
-            ValueError, match=rf"no video or image folder for camera {C} .*, --without {C} leaves a camera"
+            ValueError, match=rf"no video or image folder for camera {C} .*, --exclude-camera {C} leaves a camera"
         ):
             open_session(session)
     else:
@@ -96,5 +96,5 @@ def test_wrong_names_and_the_refusal(session: Path, capsys: pytest.CaptureFixtur
 
 
 def test_live_cameras_are_not_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["track", str(tmp_path), "--follow", "--without", A]) == 2
-    assert "--without: of live cameras" in capsys.readouterr().err
+    assert main(["track", str(tmp_path), "--follow", "--exclude-camera", A]) == 2
+    assert "--exclude-camera: of live cameras" in capsys.readouterr().err

@@ -203,7 +203,7 @@ def test_parquet(tmp_path: Path) -> None:
     assert table["tx"].to_pylist()[1] == pytest.approx(0.1)
     assert table["matches_cam_0"].null_count == 1
     assert table["status"].to_pylist()[COASTING] == "coasting"
-    assert table["doubt_cam_1"].to_pylist()[0] == np.inf
+    assert table["variance_inflation_cam_1"].to_pylist()[0] == np.inf
     assert table.schema.field("inliers_cam_0").type == "int64"
 
 

@@ -617,7 +617,7 @@ def as_sent(told: T) -> T:
 
 
 def each_for_itself(
-    sights: Sequence[Sights], starts: Sequence[Start] = ((*IDENTITY, FIRST_PX),), *, economical: bool = False
+    sights: Sequence[Sights], starts: Sequence[Start] = ((*IDENTITY, FIRST_PX),), *, compact: bool = False
 ) -> tuple[list[list[Aligned]], int]:
     """Every camera in a thread of its own: all that it knows of the others is what they send. And the number of rounds."""
     n = len(sights)
@@ -633,7 +633,7 @@ def each_for_itself(
             together.wait(60)  # nobody sends again before all have read
             return heard
 
-        return OneOfMany(sights[c], c, n, exchange, economical=economical).align(starts)
+        return OneOfMany(sights[c], c, n, exchange, compact=compact).align(starts)
 
     with ThreadPoolExecutor(n) as pool:
         return list(pool.map(one, range(n))), rounds[0]
@@ -671,7 +671,7 @@ def test_own_solutions_refined_in_few_rounds_come_to_about_the_same(rig: Rig, ho
     if how == "one camera sees nothing":
         sights[1] = some(sights[1], np.arange(0))
     here = align(sights, *IDENTITY)
-    found, rounds = each_for_itself(sights, [(*IDENTITY, FIRST_PX), (*IDENTITY, 8.0)], economical=True)
+    found, rounds = each_for_itself(sights, [(*IDENTITY, FIRST_PX), (*IDENTITY, 8.0)], compact=True)
     first = found[0][0]
     # The last one says how good the pose is.
     assert rounds <= 6 + (how == "one camera is junk")

@@ -299,11 +299,11 @@ def rms(found: Sequence[TrackedFrame], clip: Clip) -> FloatArray:
     ("lie", "mode", "loss", "said"),
     [
         pytest.param("two-faced", "exact", 0.0, "it told others something else", marks=pytest.mark.slow),
-        ("two-faced", "economical", 0.1, "it told others something else"),
+        ("two-faced", "compact", 0.1, "it told others something else"),
         ("accusing", "exact", 0.0, "it told others something else"),
-        ("whispering", "economical", 0.0, "it or camera 2 lies of what it told"),
-        ("heavy", "economical", 0.0, None),
-        ("bent", "economical", 0.0, "what it says of the pose is no information"),
+        ("whispering", "compact", 0.0, "it or camera 2 lies of what it told"),
+        ("heavy", "compact", 0.0, None),
+        ("bent", "compact", 0.0, "what it says of the pose is no information"),
     ],
 )
 def test_the_others_go_on_beside_a_node_that_lies(
@@ -373,7 +373,7 @@ def test_the_economical_mode_is_as_good_in_fewer_rounds_and_bytes(clip: Clip) ->
 
 
 def test_a_mode_that_there_is_not_is_refused(clip: Clip) -> None:
-    with pytest.raises(ValueError, match="mode 'quick': expected exact or economical"):
+    with pytest.raises(ValueError, match="mode 'quick': expected exact or compact"):
         track_by_nodes(clip.frames(), clip.rig, clip.boxes, mode="quick")
 
 

@@ -339,7 +339,7 @@ def test_frames_without_a_length_are_shaded(tmp_path: Path) -> None:
     straight = [replace(f, observable=Observable.NO_LENGTH) if 5 <= f.index < 8 else f for f in plain]
     panel = Figure().add_subplot()
     (_, _, entry) = plots._shade([panel], Trajectory(straight, NAMES, "m"))
-    assert entry.get_label() == "length not observable"
+    assert entry.get_label() == "translation scale not observable"
     colors = [patch.get_facecolor()[:3] for patch in panel.patches]
     assert colors.count(to_rgb(plots.STRAIGHT_COLOR)) == 1
     (strip,) = [p for p in panel.patches if p.get_facecolor()[:3] == to_rgb(plots.STRAIGHT_COLOR)]

@@ -65,7 +65,7 @@ def test_columns_are_those_of_the_file(tmp_path: Path) -> None:
                 # Without a value, or a standard deviation that is unbounded.
                 assert math.isnan(value) or (math.isinf(value) and name.endswith(("_sd", "_sd_deg")))
             else:
-                assert value == pytest.approx(float(cell), rel=1e-3 if name.startswith("doubt") else 1e-5)
+                assert value == pytest.approx(float(cell), rel=1e-3 if name.startswith("variance_inflation") else 1e-5)
 
 
 def test_nothing_has_columns_too() -> None:

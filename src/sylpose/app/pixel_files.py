@@ -91,7 +91,7 @@ def load_pixels(
     """
     found, own = _Collected(least), {Path(file): camera for camera, file in (named or {}).items()}
     if unknown := [camera for camera in (named or {}) if camera not in cameras]:
-        raise ValueError(f"--camera: no camera {', '.join(unknown)} in the calibration ({', '.join(cameras)})")
+        raise ValueError(f"--video: no camera {', '.join(unknown)} in the calibration ({', '.join(cameras)})")
     by = dict[str, Path]()
     for path in [*files, *own]:
         text = text_of(path, MAX_TABLE)
@@ -119,7 +119,7 @@ def _camera_of(path: Path, cameras: Sequence[str]) -> str:
     camera = match_names([stem], cameras).get(stem)
     if camera is None:
         raise ValueError(
-            f"its name begins with that of no camera ({', '.join(cameras)}); --camera NAME=FILE says whose it is"
+            f"its name begins with that of no camera ({', '.join(cameras)}); --video NAME=FILE says whose it is"
         )
     return camera
 

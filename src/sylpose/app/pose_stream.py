@@ -30,13 +30,13 @@ def listener(to: str) -> Iterator[Callable[[str], None]]:
         return
     found = _UDP.fullmatch(to)
     if found is None or not 0 < int(found[2]) < 1 << 16:
-        raise ValueError(f"--poses: - for stdout, or udp://HOST:PORT is expected, got {to!r}")
+        raise ValueError(f"--stream: - for stdout, or udp://HOST:PORT is expected, got {to!r}")
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             found[1].strip("[]"), int(found[2]), type=socket.SOCK_DGRAM
         )[0]
     except (OSError, UnicodeError):
-        raise ValueError(f"--poses {to}: no such host") from None
+        raise ValueError(f"--stream {to}: no such host") from None
     with socket.socket(family, kind, protocol) as out:
         out.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 

@@ -119,7 +119,7 @@ def pose_aloud(
         record = partial(write_record, out, session, asked, noticed)
     else:
         if without:
-            raise ValueError("--without: is for recordings; of tables, leave those of the camera out")
+            raise ValueError("--exclude-camera: is for recordings; of tables, leave those of the camera out")
         if given is None:
             raise ValueError("--calibration FILE: tables of pixels need one")
         rig, source = calibration.load(given), given if not seen else seen[0]

@@ -116,7 +116,7 @@ def track_session(
         known: the object, or objects by name, as another take has learnt them (`app.object_files`): their poses are told in
             the frame that they had there. Their boxes are not used.
         workers: as in `track`; the result does not depend on it.
-        distributed: None for one process; "exact" or "economical": by nodes, one for each camera, over a simulated network
+        distributed: None for one process; "exact" or "compact": by nodes, one for each camera, over a simulated network
             (`network.node_tracker`), of a recording.
         resume: go on with the run in `out` that was interrupted. It must have had the same options.
         checkpoint_seconds: between two checkpoints; 0 for one after every frame. Live sessions have none.

@@ -73,14 +73,12 @@ def open_asked(
     """
     if not (follow or live.is_live(path)):
         if lossless:
-            raise ValueError("--lossless is only for growing folders, with --follow")
+            raise ValueError("--no-drop is only for growing folders, with --follow")
         return open_recorded(path, calibration, boxes, masks, offset, camera, rate, unit, world, without)
     if without:
-        raise ValueError("--without: of live cameras and growing folders all take part that the calibration has")
+        raise ValueError("--exclude-camera: of live cameras and growing folders all take part that the calibration has")
     if camera:
-        raise ValueError(
-            "--camera: of live cameras live.toml says which is which, and growing folders have their names"
-        )
+        raise ValueError("--video: of live cameras live.toml says which is which, and growing folders have their names")
     if offset:
         raise ValueError(
             "--frame-offset: frames of live cameras belong together by their times; --offsets FILE is for delays"
@@ -132,7 +130,7 @@ def check_out(session: Session | live.LiveSession, out: Path) -> None:
 
 
 def camera_files(given: Sequence[str] | None) -> dict[str, str] | None:
-    """What `--camera NAME=FILE` says, by name.
+    """What `--video NAME=FILE` says, by name.
 
     Raises:
         ValueError: something else, or a name twice.
@@ -141,9 +139,9 @@ def camera_files(given: Sequence[str] | None) -> dict[str, str] | None:
     for text in given or ():
         name, _, file = text.partition("=")
         if not name or not file:
-            raise ValueError(f"--camera: NAME=FILE is expected, such as cam_2=left.mp4, got {text!r}")
+            raise ValueError(f"--video: NAME=FILE is expected, such as cam_2=left.mp4, got {text!r}")
         if name in cameras:
-            raise ValueError(f"--camera: {name} is given twice")
+            raise ValueError(f"--video: {name} is given twice")
         cameras[name] = file
     return cameras or None
 

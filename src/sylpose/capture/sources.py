@@ -137,7 +137,7 @@ def _entries(
     try:
         matched = match_names(dict.fromkeys(names.values()), [*left, *without])
     except ValueError as error:
-        raise ValueError(f"{path}: {error}; --camera NAME=FILE says it") from None
+        raise ValueError(f"{path}: {error}; --video NAME=FILE says it") from None
     for entry in found:
         name = matched.get(names[entry])
         if name in by_camera:
@@ -152,7 +152,7 @@ def _entries(
     if missing and (first := several_of(list(names.values()), left)):
         several = ", ".join(entry.name for entry in found if names[entry] in first)
         raise ValueError(
-            f"{path}: several recordings in one folder ({several} are all of camera {left[0]}); --camera NAME=FILE, for "
+            f"{path}: several recordings in one folder ({several} are all of camera {left[0]}); --video NAME=FILE, for "
             "each camera, takes one of them"
         )
     if missing or extra:
@@ -161,9 +161,9 @@ def _entries(
             wrong.append(f"no video or image folder for camera {', '.join(missing)} of {calibration.name}")
         if extra:
             wrong.append(f"no camera in {calibration.name} ({', '.join(cameras)}) for {', '.join(extra)}")
-        leave = f", --without {missing[0]} leaves a camera out" if 0 < len(missing) < len(cameras) else ""
+        leave = f", --exclude-camera {missing[0]} leaves a camera out" if 0 < len(missing) < len(cameras) else ""
         listed = "" if len(extra) == len(found) else f"; found {', '.join(entry.name for entry in found)}"
-        raise ValueError(f"{path}: {'; '.join(wrong)}{listed}; --camera NAME=FILE says which is which{leave}")
+        raise ValueError(f"{path}: {'; '.join(wrong)}{listed}; --video NAME=FILE says which is which{leave}")
     return by_camera
 
 

@@ -53,7 +53,7 @@ P = ParamSpec("P")
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 # Options by the names that Python's functions have for them, where these are not the commands' own.
 _IN_PYTHON = {
-    "cameras": "--camera",
+    "cameras": "--video",
     "known": "--object",
     "offsets": "--frame-offset",
     "plot_format": "--format",
@@ -165,7 +165,7 @@ Offsets = Annotated[
 Axes = Annotated[
     str | None,
     typer.Option(
-        "--angles",
+        "--euler",
         metavar="AXES",
         help="Three more angles in the CSV, and those of the plots: XYZ (axes that turn along), xyz (that stand), or three "
         'vectors, "0,0,1 1,0,0 0,1,0".',
@@ -174,12 +174,14 @@ Axes = Annotated[
 CameraFiles = Annotated[
     list[str] | None,
     typer.Option(
-        "--camera", metavar="NAME=FILE", help="A camera's video or folder, where its name does not tell; several times."
+        "--video", metavar="NAME=FILE", help="A camera's video or folder, where its name does not tell; several times."
     ),
 ]
 Without = Annotated[
     list[str] | None,
-    typer.Option("--without", metavar="CAM", help="Leave a camera out, one without a video, say; several times."),
+    typer.Option(
+        "--exclude-camera", metavar="CAM", help="Leave a camera out, one without a video, say; several times."
+    ),
 ]
 Rate = Annotated[
     float | None,

@@ -104,7 +104,7 @@ def box(
         "--calibration": [calibration],
         "--masks": [masks],
         "--frame-offset": offset,
-        "--camera": camera,
+        "--video": camera,
         "--rate": [rate],
     }
     words = [(name, str(value)) for name, values in given.items() for value in values or () if value is not None]

@@ -94,8 +94,9 @@ def track(
     distributed: Annotated[
         str | None,
         typer.Option(
+            "--simulate-nodes",
             metavar="|".join(MODES),
-            help="By nodes, one for each camera, over a simulated network: as in one process, or in few rounds.",
+            help="Run one node per camera over a simulated network: exact as in one process, or compact in fewer rounds.",
         ),
     ] = None,
     resume: Annotated[
@@ -107,9 +108,7 @@ def track(
     follow: Annotated[
         bool, typer.Option("--follow", help="SESSION has folders of images that a recorder is still filling.")
     ] = False,
-    lossless: Annotated[
-        bool, typer.Option("--lossless", help="With --follow: track all frames, however late.")
-    ] = False,
+    lossless: Annotated[bool, typer.Option("--no-drop", help="With --follow: track all frames, however late.")] = False,
     rate: Rate = None,
     camera: CameraFiles = None,
     without: Without = None,
@@ -120,7 +119,7 @@ def track(
     angles: Axes = None,
     poses: Annotated[
         str | None,
-        typer.Option(metavar="TO", help="Tell each pose as a line of JSON: - for stdout, or udp://HOST:PORT."),
+        typer.Option("--stream", metavar="TO", help="Stream poses as JSON lines to stdout (-) or udp://HOST:PORT."),
     ] = None,
     show: Annotated[
         bool, typer.Option("--show", help="Show it in 3D meanwhile, on a page in the browser: see sylpose show.")

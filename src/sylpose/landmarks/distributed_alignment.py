@@ -38,7 +38,7 @@ __all__ = ["OneOfMany"]
 # How far the start may be off, for a camera alone: radians, and a share of its landmarks' distance from the object's
 # centre (choice).
 PRIOR_TURN, PRIOR_SHIFT = 0.3, 0.3
-# Rounds in the economical mode, the first one included: a step of a quarter of its own standard deviation is good enough
+# Rounds in the compact mode, the first one included: a step of a quarter of its own standard deviation is good enough
 # then, and only what is farther off goes on (choice).
 FEW_ROUNDS, NEAR = 5, 0.25**2
 # From this round on noise and doubt are held: for `joint_step` it is so many rounds later (choice).
@@ -71,16 +71,16 @@ class OneOfMany:
         sights: its own.
         index: its number, among so many.
         exchange: with the others.
-        economical: see above.
+        compact: see above.
     """
 
-    def __init__(self, sights: Sights, index: int, count: int, exchange: Exchange, *, economical: bool = False) -> None:
+    def __init__(self, sights: Sights, index: int, count: int, exchange: Exchange, *, compact: bool = False) -> None:
         self._stacked, self._index, self.count, self._exchange = stack([sights]), index, count, exchange
-        self._economical = economical
+        self._compact = compact
 
     def align(self, starts: Sequence[Start]) -> list[Aligned]:
         """See `alignment.agreed`; the weights, residuals and surface are this camera's alone."""
-        return self._refined(starts) if self._economical else agreed(self, starts)
+        return self._refined(starts) if self._compact else agreed(self, starts)
 
     def solve(self, jobs: Sequence[Job]) -> list[Aligned]:
         """See `alignment._Cameras`."""
@@ -107,7 +107,7 @@ class OneOfMany:
 
     def _step(self, runs: Sequence[_Run], said: Sequence[Says]) -> None:
         """One round of some runs."""
-        said = [one.coarse() for one in said] if self._economical else said
+        said = [one.coarse() for one in said] if self._compact else said
         told = self._exchange(tuple(said), (Says(np.zeros(27), 0.0, np.nan),) * len(said))
         for run, by_camera in zip(runs, zip(*told, strict=True), strict=True):
             reduced = np.array([t.reduced for t in by_camera])
@@ -132,7 +132,7 @@ class OneOfMany:
             for run, judges in zip(runs, told, strict=True)
         ]
 
-    # --- economical ---------------------------------------------------------------------------------------------------
+    # --- compact ---------------------------------------------------------------------------------------------------
 
     def _refined(self, starts: Sequence[Start]) -> list[Aligned]:
         """From each start, this camera's own solution, and then everybody's in a few rounds."""

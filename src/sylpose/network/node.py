@@ -106,8 +106,8 @@ class Node:
 
     def align(self, sights: Sequence[Sights], starts: Sequence[Start]) -> list[Alignment]:
         """See `Crew`."""
-        economical = self._mode == "economical"
-        mine = OneOfMany(sights[self.camera], self.camera, self.cameras, self._told, economical=economical)
+        compact = self._mode == "compact"
+        mine = OneOfMany(sights[self.camera], self.camera, self.cameras, self._told, compact=compact)
         return [(one, self.each(lambda _, a=one: (a.weights[0], a.residuals[0]))) for one in mine.align(starts)]  # type: ignore[misc]
 
     def _told(self, mine: T, nothing: T, /) -> list[T]:

@@ -19,7 +19,7 @@ from sylpose.tracking.reports import Ages, Agreed, Chance, Following, Known, Mid
 __all__ = ["objection"]
 
 # A hessian is that of a sum of squares if it is positive semi-definite up to this share of its diagonal (derived: rounding,
-# of 24 bits in the economical mode, after a surface was eliminated).
+# of 24 bits in the compact mode, after a surface was eliminated).
 ROUNDING = 1e-5
 # Nothing that is counted, or measured in pixels, is more (choice).
 MOST = 1e7

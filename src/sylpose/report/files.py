@@ -55,7 +55,8 @@ class TrajectoryWriter:
     `trajectory.tum` has the frames in which the object was found: `time tx ty tz qx qy qz qw`, world_from_object.
     `trajectory.csv` has all frames: also status, the calibration's length unit, pan, tilt, roll in degrees, the standard
     deviations (rotation about the world's x, y, z in degrees, then position), per camera `inliers_NAME`,
-    `residual_px_NAME`, `doubt_NAME` and `matches_NAME`, faults of cameras, and why a frame has no pose. A cell is empty
+    `residual_px_NAME`, `variance_inflation_NAME` and `matches_NAME`, faults of cameras, and why a frame has no pose.
+    A cell is empty
     where there is no value; for a standard
     deviation that means unbounded.
 
@@ -223,7 +224,7 @@ def _trajectory_in(text: str) -> Trajectory:
     rows = csv.reader(io.StringIO(text, newline=""))
     header = next(rows, [])
     known = set(header)
-    missing = [name for name in COLUMNS if name not in known and name != "observable"]
+    missing = [name for name in COLUMNS if name not in known and name != "observability"]
     names = [name.removeprefix("inliers_") for name in header if name.startswith("inliers_")]
     missing += [f"residual_px_{name}" for name in names if f"residual_px_{name}" not in known]
     if missing:
@@ -263,8 +264,10 @@ def _frame(cells: dict[str, str], names: Sequence[str]) -> FramePose:
         covariance=np.diag(sigma**2),
         inliers=np.array([int(cells[f"inliers_{name}"]) for name in names], dtype=np.int64),
         residuals=numbers([f"residual_px_{name}" for name in names], np.nan),
-        observable=Observable(cells.get("observable", Observable.ALL.value)) if status_only else Observable.NO_SCALE,
-        doubt=numbers([f"doubt_{name}" for name in names if f"doubt_{name}" in cells], np.nan),
+        observable=Observable(cells.get("observability", Observable.ALL.value)) if status_only else Observable.NO_SCALE,
+        doubt=numbers(
+            [f"variance_inflation_{name}" for name in names if f"variance_inflation_{name}" in cells], np.nan
+        ),
         faults=tuple(cells["faults"].split("; ")) if cells.get("faults") else (),
         matches=np.array([int(cell) for name in names if (cell := cells.get(f"matches_{name}"))], dtype=np.int64),
         reason=cells.get("reason", ""),

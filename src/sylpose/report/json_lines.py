@@ -27,7 +27,7 @@ def pose_line(pose: FramePose, camera_names: Sequence[str], unit: str, **more: o
         "frame": pose.index,
         "time": pose.time,
         "status": pose.status.value,
-        "observable": pose.observable.value,
+        "observability": pose.observable.value,
         "position": None if place is None else pose.position.tolist(),
         "quaternion": None if place is None else place.rotation.as_quat().tolist(),
         "sigma_deg": [_number_or_none(np.degrees(s)) for s in pose.sigma[:3]],

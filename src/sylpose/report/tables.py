@@ -14,9 +14,9 @@ __all__ = ["COLUMNS", "PER_CAMERA", "POSE_COLUMNS", "SD_COLUMNS", "columns_of", 
 POSE_COLUMNS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
 ANGLE_COLUMNS = ("pan_deg", "tilt_deg", "roll_deg")
 SD_COLUMNS = ("rx_sd_deg", "ry_sd_deg", "rz_sd_deg", "tx_sd", "ty_sd", "tz_sd")
-COLUMNS = ("index", "time", "status", "observable", "unit", *POSE_COLUMNS, *ANGLE_COLUMNS, *SD_COLUMNS)
+COLUMNS = ("index", "time", "status", "observability", "unit", *POSE_COLUMNS, *ANGLE_COLUMNS, *SD_COLUMNS)
 # With a camera's name behind each.
-PER_CAMERA = ("inliers", "residual_px", "doubt", "matches")
+PER_CAMERA = ("inliers", "residual_px", "variance_inflation", "matches")
 
 
 def columns_of(trajectory: Trajectory) -> dict[str, list[Any]]:
