@@ -19,6 +19,7 @@ __all__ = [
     "Figures",
     "Results",
     "RowResult",
+    "Setting",
     "Tried",
     "failures",
     "fastest_as_good",
@@ -27,6 +28,7 @@ __all__ = [
     "load",
     "misses",
     "save",
+    "settings",
     "speeds",
     "table",
     "too_slow",
@@ -45,8 +47,6 @@ ENOUGH_SCENES = 20
 RESAMPLES = 400
 # What counts as worse than the baseline: errors of the same scenes; time, in units of a loop that is timed beside it.
 WORSE_ERROR, WORSE_TIME = 1.1, 1.4
-# How many times faster than PoseLib at its fastest: in the median of a problem's rows, and in each of them.
-FASTER, FASTER_EACH = 5.0, 3.0
 # More than the cost per camera or per match may grow, when there are more of them, by no more than this.
 LINEAR = 1.25
 GROWTH = (
@@ -234,9 +234,9 @@ def table(results: Results, markdown: bool) -> Table:
     out.add_column("ours / bound", justify="right", no_wrap=True)
     out.add_column("verdict", no_wrap=True)
     for r in results.rows:
-        cells = [r.name, *_cells([r.ours])]
+        cells = [r.name, *_cells(r.ours, [r.ours])]
         for solver in solvers:
-            cells += _cells(r.peers.get(solver, []))
+            cells += _cells(r.ours, r.peers.get(solver, []))
         pose = r.row.problem == "pose"
         both = [r.bound_depth_known] if pose else [r.bound_depth_unknown, r.bound_depth_known]
         for unit in ("deg", "mm"):
@@ -247,7 +247,7 @@ def table(results: Results, markdown: bool) -> Table:
     return out
 
 
-def _cells(tried: Sequence[Tried]) -> list[str]:
+def _cells(ours: Tried, tried: Sequence[Tried]) -> list[str]:
     """Errors and time: per figure the best options, and the fastest that are about as good (`fastest_as_good`)."""
     if not tried:
         return ["", "", ""]
@@ -255,7 +255,7 @@ def _cells(tried: Sequence[Tried]) -> list[str]:
     for unit in ("deg", "mm"):
         best = [min(getattr(t.figures, unit)[q] for t in tried) for q in range(len(QUANTILES))]
         cells.append("/".join(f"{v:.2g}" for v in best))
-    cells.append(f"{fastest_as_good(tried).ms:.2f}")
+    cells.append(f"{fastest_as_good(ours, tried).ms:.2f}")
     return cells
 
 
@@ -283,53 +283,84 @@ def misses(results: Results, by_chance: bool) -> list[str]:
     return [line for _, line in sorted(lines, reverse=True)]
 
 
-def fastest_as_good(tried: Sequence[Tried]) -> Tried:
-    """A peer's fastest options that are about as accurate as it can be: medians and 90th percentiles within 5 % (`TIE`) of
-    the best of all its options, whichever that is in each figure; where none are, the options that come nearest to that."""
-    best = {(u, q): min(getattr(t.figures, u)[q] for t in tried) for u in ("deg", "mm") for q in range(2)}
+def fastest_as_good(ours: Tried, tried: Sequence[Tried]) -> Tried:
+    """Return a peer's fastest option set that is as accurate as sylpose, or else as accurate as the peer can be.
 
-    def worst(t: Tried) -> float:
-        return float(max(getattr(t.figures, u)[q] / max(value, 1e-12) for (u, q), value in best.items()))
+    As accurate: medians and 90th percentiles of both errors within 5 % (`TIE`) of sylpose's or, where no option set reaches
+    these, of the best of all its option sets in each figure; where none does that either, the set that comes nearest.
+    """
+    figures = [(u, q) for u in ("deg", "mm") for q in range(2)]
+    best = {(u, q): min(getattr(t.figures, u)[q] for t in tried) for u, q in figures}
+    enough = {(u, q): max(value, getattr(ours.figures, u)[q]) for (u, q), value in best.items()}
 
-    least = min(map(worst, tried))
-    return min((t for t in tried if worst(t) <= max(TIE, least)), key=lambda t: t.ms)
+    def excess(t: Tried) -> float:
+        return float(max(getattr(t.figures, u)[q] / max(value, 1e-12) for (u, q), value in enough.items()))
+
+    least = min(map(excess, tried))
+    return min((t for t in tried if excess(t) <= max(TIE, least)), key=lambda t: t.ms)
 
 
-def _faster(results: Results, problem: str) -> dict[str, tuple[float, Tried]]:
-    """Of the rows that PoseLib copes with: its time over ours, and the options that it has that time with."""
-    out = {}
-    for r in results.rows:
-        tried = r.peers.get("poselib", ())
-        if r.row.problem == problem and any(2 * sum(t.failures.values()) <= t.scenes for t in tried):
-            fastest = fastest_as_good(tried)
-            out[r.name] = (fastest.ms / r.ours.ms, fastest)
-    return out
+def _rows_of(results: Results, problem: str) -> list[tuple[RowResult, list[Tried]]]:
+    """The rows of a problem in which PoseLib finds a pose in half of the scenes or more."""
+    rows = [(r, r.peers.get("poselib", [])) for r in results.rows if r.row.problem == problem]
+    return [(r, tried) for r, tried in rows if any(2 * sum(t.failures.values()) <= t.scenes for t in tried)]
 
 
 def speeds(results: Results) -> Iterator[str]:
-    """A line for each problem, and one for each row: PoseLib's time over ours."""
+    """Yield a line per problem and a line per row: PoseLib's time over ours at its best setting for that row."""
     for problem in ("motion", "pose"):
-        ratios = _faster(results, problem)
-        if not ratios:
+        rows = [(r, fastest_as_good(r.ours, tried)) for r, tried in _rows_of(results, problem)]
+        if not rows:
             continue
-        all_of_them = [ratio for ratio, _ in ratios.values()]
-        yield f"{problem}, {len(ratios)} rows: x{np.median(all_of_them):.1f} in the median, x{min(all_of_them):.1f} at least"
+        ratios = {r.name: (fastest.ms / r.ours.ms, fastest) for r, fastest in rows}
+        every = [ratio for ratio, _ in ratios.values()]
+        yield f"{problem}, {len(rows)} rows: x{np.median(every):.1f} in the median, x{min(every):.1f} at least"
         for name, (ratio, fastest) in sorted(ratios.items(), key=lambda item: item[1][0]):
             yield f"{name}: x{ratio:.1f} (poselib {fastest.ms:.2f} ms, {fastest.options})"
 
 
-def too_slow(results: Results) -> Iterator[str]:
-    """A line for each target of speed that is missed."""
-    ms = {r.name: r.ours.ms for r in results.rows}
+class Setting(NamedTuple):
+    """One of PoseLib's option sets over all rows of a problem.
+
+    Attributes:
+        time: its time over ours, median of the rows.
+        errors: its median errors over ours on the same scenes, median of the rows: rotation, center.
+        tails: the same of the 90th percentiles.
+        rows, as_accurate: number of rows, and of those in which it is as accurate as sylpose within 5 %.
+    """
+
+    problem: str
+    options: str
+    time: float
+    errors: tuple[float, float]
+    tails: tuple[float, float]
+    rows: int
+    as_accurate: int
+
+
+def settings(results: Results) -> Iterator[Setting]:
+    """Yield every option set of PoseLib, per problem, the fastest first."""
     for problem in ("motion", "pose"):
-        ratios = _faster(results, problem)
-        median = float(np.median([ratio for ratio, _ in ratios.values()])) if ratios else np.inf
-        if median < FASTER:
-            yield f"{problem}: in the median of the rows x{median:.1f} faster, wanted x{FASTER:g}"
-        for name, (ratio, fastest) in ratios.items():
-            if ratio < FASTER_EACH:
-                faster = f"x{ratio:.1f} faster, wanted x{FASTER_EACH:g}"
-                yield f"{name}: {ms[name]:.2f} ms, poselib {fastest.ms:.2f} ms with {fastest.options} ({faster})"
+        found: dict[str, list[tuple[float, list[float]]]] = {}
+        for r, tried in _rows_of(results, problem):
+            for t in tried:
+                ours = figures_of(r.deg[: t.scenes], r.mm[: t.scenes])
+                errors = [
+                    getattr(t.figures, u)[q] / max(getattr(ours, u)[q], 1e-12) for q in range(2) for u in ("deg", "mm")
+                ]
+                found.setdefault(t.options, []).append((t.ms / r.ours.ms, errors))
+        out = []
+        for options, rows in found.items():
+            a, b, c, d = (float(v) for v in np.median([errors for _, errors in rows], axis=0))
+            time = float(np.median([ratio for ratio, _ in rows]))
+            good = sum(max(errors) <= TIE for _, errors in rows)
+            out.append(Setting(problem, options, time, (a, b), (c, d), len(rows), good))
+        yield from sorted(out, key=lambda s: s.time)
+
+
+def too_slow(results: Results) -> Iterator[str]:
+    """Yield a line for each missed target of speed: cost linear in cameras and matches, a quick first call."""
+    ms = {r.name: r.ours.ms for r in results.rows}
     for small, large, factor in GROWTH:
         if small in ms and large in ms and ms[large] > LINEAR * factor * ms[small]:
             yield f"{large}: x{ms[large] / ms[small]:.1f} the time of {small!r}, for x{factor:.1f} the data"

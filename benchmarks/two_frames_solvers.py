@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import multiprocessing
 import os
 import time
@@ -225,29 +226,36 @@ LOADERS: dict[str, Callable[[], Prepare]] = {
 }
 
 
+# PoseLib's default is 1,000 iterations at least, most of which are superfluous where matches are good; and its final
+# refinement minimizes a Cauchy loss, which costs accuracy where no match is wrong.
+POSELIB_ITERATIONS = (50, 100, 200, 1000)
+POSELIB_THRESHOLDS = (2.0, 4.0)
+POSELIB_LOSSES = ("TRIVIAL", "HUBER", "CAUCHY", "TRUNCATED")
+
+
 def options_of(solver: str, problem: str, noise: float) -> dict[str, Options]:
-    """The sets of options that a solver is tried with: its defaults, ones made for the scenes' true noise, faster ones."""
+    """Return the option sets to try for a solver, by label.
+
+    PoseLib: its defaults, and every combination of least iterations, inlier threshold (in true standard deviations of the
+    noise) and loss of the final refinement.
+
+    Args:
+        noise: standard deviation of the scenes' image noise, pixels.
+    """
     if solver == "pycolmap":
         return {"default": {}, "4 sigma": {"max_error": 4 * noise}}
     if solver != "poselib":
         return {"": {}}
     error = "max_reproj_error" if problem == "pose" else "max_epipolar_error"
-
-    def of(sigmas: float, **bundle: object) -> Options:
-        return {"ransac": {error: sigmas * noise}, "bundle": bundle}
-
+    grid = itertools.product(POSELIB_ITERATIONS, POSELIB_THRESHOLDS, POSELIB_LOSSES)
     return {
         "default": {},
-        "2 sigma": of(2, loss_scale=2 * noise),
-        "4 sigma": of(4, loss_scale=2 * noise),
-        "4 sigma, least squares": of(4, loss_type="TRIVIAL"),
-        # Its default is 1000 iterations at least, of which most are for nothing where matches are good.
         **{
-            f"{sigmas} sigma, {least} iterations": {
+            f"{least} iterations, {sigmas:g} sigma, {loss}": {
                 "ransac": {error: sigmas * noise, "min_iterations": least},
-                "bundle": {"loss_scale": 2 * noise},
+                # A truncated loss rejects beyond its scale, the others only begin to bend there.
+                "bundle": {"loss_type": loss, "loss_scale": (sigmas if loss == "TRUNCATED" else 2) * noise},
             }
-            for sigmas in (2, 4)
-            for least in (50, 100, 200)
+            for least, sigmas, loss in grid
         },
     }
