@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # What touches cv2: OpenCV 4 and 5 are asked alike.
 OPENCV_TESTS := tests/calibration tests/capture tests/features tests/report tests/simulate tests/test_rig.py
 
-.PHONY: demo demo-network test kernels test-slow test-opencv4 test-opencv5 browser web lint format dist bench bench-tracking bench-paper docs gallery clean
+.PHONY: demo demo-network test kernels test-slow test-opencv4 test-opencv5 browser web lint format dist bench bench-page bench-record bench-tracking bench-paper docs gallery clean
 
 # The package's own file has the version.
 $(VENV)/.installed: pyproject.toml src/sylpose/__init__.py
@@ -98,6 +98,14 @@ bench: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/two_frames.py --compare benchmarks/two_frames_baseline.json
 
 # About an hour, most of it rendering, the peers and the two long ones; parts of it: `benchmarks/tracking.py --help`.
+# docs/benchmarks.md, from the results that `bench-record` stored.
+bench-page: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks.page
+
+# Runs every benchmark of the page: hours.
+bench-record: $(VENV)/.installed-bench
+	$(BIN)/python -m benchmarks.record
+
 bench-tracking: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/tracking.py --compare benchmarks/tracking_baseline.json
 

@@ -20,6 +20,7 @@ __all__ = [
     "Results",
     "RowResult",
     "Setting",
+    "Speed",
     "Tried",
     "failures",
     "fastest_as_good",
@@ -28,7 +29,9 @@ __all__ = [
     "load",
     "misses",
     "save",
+    "setting_table",
     "settings",
+    "speed_table",
     "speeds",
     "table",
     "too_slow",
@@ -306,17 +309,57 @@ def _rows_of(results: Results, problem: str) -> list[tuple[RowResult, list[Tried
     return [(r, tried) for r, tried in rows if any(2 * sum(t.failures.values()) <= t.scenes for t in tried)]
 
 
-def speeds(results: Results) -> Iterator[str]:
-    """Yield a line per problem and a line per row: PoseLib's time over ours at its best setting for that row."""
-    for problem in ("motion", "pose"):
-        rows = [(r, fastest_as_good(r.ours, tried)) for r, tried in _rows_of(results, problem)]
-        if not rows:
-            continue
-        ratios = {r.name: (fastest.ms / r.ours.ms, fastest) for r, fastest in rows}
-        every = [ratio for ratio, _ in ratios.values()]
-        yield f"{problem}, {len(rows)} rows: x{np.median(every):.1f} in the median, x{min(every):.1f} at least"
-        for name, (ratio, fastest) in sorted(ratios.items(), key=lambda item: item[1][0]):
-            yield f"{name}: x{ratio:.1f} (poselib {fastest.ms:.2f} ms, {fastest.options})"
+class Speed(NamedTuple):
+    """PoseLib at its best setting for a row (`fastest_as_good`) and its time over sylpose's."""
+
+    problem: str
+    row: str
+    ms: float
+    peer: Tried
+
+    @property
+    def ratio(self) -> float:
+        """PoseLib's time over sylpose's."""
+        return self.peer.ms / self.ms
+
+
+def speeds(results: Results) -> list[Speed]:
+    """Return the comparison of times for each row in which PoseLib finds poses, the least favorable to sylpose first."""
+    rows = [(r, tried) for problem in ("motion", "pose") for r, tried in _rows_of(results, problem)]
+    found = [Speed(r.row.problem, r.name, r.ours.ms, fastest_as_good(r.ours, tried)) for r, tried in rows]
+    return sorted(found, key=lambda s: (s.problem, s.ratio))
+
+
+def speed_table(results: Results, markdown: bool) -> Table:
+    """Return `speeds` as a table, after a line with the median and the least ratio of each problem."""
+    found = speeds(results)
+    out = _new_table(("row", "sylpose ms", "PoseLib ms", "ratio", "its setting"), markdown)
+    for problem in dict.fromkeys(s.problem for s in found):
+        ratios = [s.ratio for s in found if s.problem == problem]
+        middle, least = np.median(ratios), min(ratios)
+        out.add_row(
+            f"{problem}, {len(ratios)} rows", "", "", f"median {middle:.2f}, least {least:.2f}", "best for each row"
+        )
+    for s in found:
+        out.add_row(s.row, f"{s.ms:.2f}", f"{s.peer.ms:.2f}", f"{s.ratio:.2f}", s.peer.options)
+    return out
+
+
+def setting_table(results: Results, markdown: bool) -> Table:
+    """Return `settings` as a table: PoseLib over sylpose, medians of the rows."""
+    header = ("problem, PoseLib's setting", "time", "median deg", "median mm", "p90 deg", "p90 mm", "as accurate in")
+    out = _new_table(header, markdown)
+    for s in settings(results):
+        ratios = (s.time, *s.errors, *s.tails)
+        out.add_row(f"{s.problem}, {s.options}", *(f"{v:.2f}" for v in ratios), f"{s.as_accurate} of {s.rows} rows")
+    return out
+
+
+def _new_table(header: Sequence[str], markdown: bool) -> Table:
+    out = Table(box=box.MARKDOWN if markdown else box.SIMPLE)
+    for k, name in enumerate(header):
+        out.add_column(name, justify="left" if k == 0 else "right", no_wrap=True)
+    return out
 
 
 class Setting(NamedTuple):
